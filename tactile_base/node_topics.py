@@ -76,7 +76,7 @@ NODES: dict[str, Part] = {
         publishes_all=(topics.TRUTH, topics.PRESENCE, topics.ESTIMATE, topics.LATENCY),
     ),
     "estimator": Part(
-        publishes=(topics.PRESENCE, topics.ESTIMATE, topics.LATENCY),
+        publishes=(topics.PRESENCE, topics.ESTIMATE, topics.WRENCH, topics.FORCE_ESTIMATE, topics.LATENCY),
         hears=(topics.IMAGE, topics.compressed(topics.IMAGE)),
         serves=("~/capture_reference",),
     ),
@@ -86,8 +86,8 @@ NODES: dict[str, Part] = {
         serves=("~/capture_reference",),
     ),
     "filter": Part(
-        publishes=(topics.BELIEF, topics.STATE, topics.LATENCY, topics.TF),
-        hears=(topics.PRESENCE, topics.ESTIMATE, *_FRAMES),
+        publishes=(topics.BELIEF, topics.STATE, topics.FORCE_BELIEF, topics.LATENCY, topics.TF),
+        hears=(topics.PRESENCE, topics.ESTIMATE, topics.FORCE_ESTIMATE, *_FRAMES),
         serves=("~/reset",),
     ),
     "controller": Part(

@@ -65,6 +65,11 @@ PRESENCE = Topic("contact/presence", "tactile_msgs/msg/ContactPresence", RELIABL
 ESTIMATE = Topic("contact/estimate", _POSE_WITH_COVARIANCE, RELIABLE, "estimator")
 BELIEF = Topic("contact/belief", _POSE_WITH_COVARIANCE, RELIABLE, "filter")
 STATE = Topic("contact/state", "tactile_msgs/msg/ContactState", RELIABLE, "filter")
+WRENCH = Topic("contact/wrench", "geometry_msgs/msg/WrenchStamped", RELIABLE, "estimator")
+FORCE_ESTIMATE = Topic(
+    "contact/wrench_estimate", "tactile_msgs/msg/ContactForce", RELIABLE, "estimator"
+)  # the same with its covariance
+FORCE_BELIEF = Topic("contact/wrench_belief", "tactile_msgs/msg/ContactForce", RELIABLE, "filter")
 SMOOTHED = Topic("contact/smoothed", _POSE_WITH_COVARIANCE, RELIABLE, "tactile replay")
 TRUTH = Topic("sim/truth", "tactile_msgs/msg/ContactTruth", RELIABLE, "simulation")
 LATENCY = Topic("latency", "tactile_msgs/msg/StageLatency", RELIABLE, "every stage")
@@ -99,7 +104,9 @@ ARM_TOPICS = (
     TASK_STATUS,
     TASK_FEEDBACK,
 )
-SENSOR_TOPICS = (PRESENCE, ESTIMATE, BELIEF, STATE, TRUTH, LATENCY)
+#: Those of the force have messages only where the network tells it.
+FORCE_TOPICS = (WRENCH, FORCE_ESTIMATE, FORCE_BELIEF)
+SENSOR_TOPICS = (PRESENCE, ESTIMATE, BELIEF, STATE, TRUTH, LATENCY, *FORCE_TOPICS)
 SHARED_TOPICS = (DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, ESTOP, TF, TF_STATIC, SIM_MARKERS)
 OBJECT_TOPICS = (OBJECT_BELIEF, OBJECT_LATENCY)
 

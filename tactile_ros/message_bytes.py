@@ -7,6 +7,7 @@ three copies: 1 ms of 3.5 for 640x480.
 from __future__ import annotations
 
 import functools
+import math
 import struct
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.serialization import serialize_message
 
 from tactile_base.stamps import SECOND_NS
-from tactile_msgs.msg import ContactState
+from tactile_filter.force import ForceGaussian
+from tactile_msgs.msg import ContactForce, ContactState
 from tactile_perception.estimating.encodings import decompressed
 from tactile_perception.estimating.image import ImageError
 from tactile_ros.conversions import checked_image
@@ -170,6 +172,12 @@ def image_from_bytes(data: bytes) -> ReceivedImage:
 def headed_bytes(message_type: Any, stamp_ns: int, frame_id: str, *numbers: Number, **texts: str) -> bytes:
     """As `packing.headed_bytes`, of a message class."""
     return packing.headed_bytes(type_name(message_type), stamp_ns, frame_id, *numbers, **texts)
+
+
+def force_bytes(stamp_ns: int, frame_id: str, force: ForceGaussian, nis: float = math.nan) -> bytes:
+    """ContactForce of a force's Gaussian."""
+    numbers = *force.mean.tolist(), *force.cov.ravel().tolist(), nis
+    return headed_bytes(ContactForce, stamp_ns, frame_id, *numbers)
 
 
 @dataclass(frozen=True)

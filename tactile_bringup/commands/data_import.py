@@ -98,7 +98,7 @@ def _report(source: Path, folder: TactileFolder, said: dict[str, Any]) -> list[s
     facts = said["images"]
     size = f" of {facts['width']}x{facts['height']}" if "width" in facts else ""
     circle = ", dark outside a circle" if facts.get("circular") else ""
-    forces = f"; forces {', '.join(folder.forces)} in N (nothing trains on them)" if folder.forces else ""
+    forces = f"; forces {', '.join(folder.forces)} in N (to train on them: tactile train --model surface_force)" if folder.forces else ""
     return [
         *(f"{source}: {note.strip()}" for note in said["notes"]),
         f"{source}: {len(folder)} samples imported to {folder.folder}",

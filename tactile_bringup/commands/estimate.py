@@ -15,7 +15,7 @@ from tactile_base.input_file import parse_json, read_text
 from tactile_base.progress import Progress
 from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import natural_int, positive_int, refusing
-from tactile_perception.estimating.labels import NETWORK_TITLES
+from tactile_perception.estimating.labels import EULER_COMPONENTS
 from tactile_records.collecting.parameters import PARAMETERS_NAME
 
 TABLE = "estimates.csv"
@@ -84,12 +84,16 @@ def _from_folder(
     from tactile_perception.evaluation.filtering import motion_filter, with_motion_noise
 
     folder = open_folder(arguments.source, estimator.metadata.preprocessing)
-    folder.check_labelled()
+    model = estimator.metadata.contact_model
+    if model.tangent:
+        folder.check_labelled()
+    if model.unknown:
+        say(console, f"{estimator.path}: {model.says_unknown()}", "yellow")
     order = usable_order(folder, arguments.seed, arguments.limit)
     say(console, "\n".join(folder.report.lines()))
     frames = folder_frames(folder, order)
     contact_filter = None
-    if not arguments.no_filter:
+    if not arguments.no_filter and set(EULER_COMPONENTS) <= set(folder.labelled):
         frames = with_motion_noise(frames, arguments.motion_sigma, arguments.seed)
         contact_filter = motion_filter(arguments.motion_sigma)
     return frames, contact_filter, len(order)
@@ -150,6 +154,8 @@ def _print_estimate_summary(console: Console, table: Any) -> None:
         return
     errors = {name: table.mean_absolute_error(series) for name, series in table.series.items()}
     summary = number_table(f"mean absolute error over {len(table)} images", ["component", *errors])
-    for component, name in enumerate(NETWORK_TITLES):
+    for component, name in enumerate(table.model.titles):
+        if np.isnan(errors["network"][component]):
+            continue
         summary.add_row(name, *(f"{column[component]:.4f}" for column in errors.values()))
     console.print(summary)

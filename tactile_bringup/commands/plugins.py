@@ -48,10 +48,11 @@ def registries() -> list[Registry[Any]]:
     """All of them."""
     from tactile_control.tasks import TASKS
     from tactile_doubles.rehearsal import DOUBLES
+    from tactile_perception.estimating.contact_model import CONTACT_MODELS
     from tactile_records.runs.report import REPORTS
     from tactile_scene.arm import ARMS
     from tactile_scene.camera import CAMERAS
     from tactile_scene.motions import MOTIONS
     from tactile_scene.shapes import SHAPES
 
-    return [TASKS, REPORTS, ARMS, DOUBLES, CAMERAS, SHAPES, MOTIONS]
+    return [TASKS, REPORTS, ARMS, DOUBLES, CAMERAS, SHAPES, MOTIONS, CONTACT_MODELS]

@@ -13,7 +13,6 @@ from rich.console import Console
 from tactile_base.console import number_table
 from tactile_base.whole_file import check_file, copy_whole, room_for_files
 from tactile_bringup.commands.changes import add_set_option, changed_settings, refusing
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.estimating.model_metadata import QUANTIZED_NAME, trained_model
 
 _TIMED_RUNS = 200
@@ -102,10 +101,11 @@ def _compare(paths: Sequence[Path], validation: Path | None) -> None:
     title = "on one core"
     if validation is not None:
         title += f"; mean absolute error on {validation}"
-        for column, result in zip(columns, evaluate(load_data(validation, models), models), strict=True):
-            mae = zip(result.accuracy.mae, NETWORK_UNITS, strict=True)
+        results = evaluate(load_data(validation, models), models)
+        for column, result in zip(columns, results, strict=True):
+            mae = zip(result.accuracy.mae, result.units, strict=True)
             column += [f"{value:.4f} {unit}" for value, unit in mae]
-        names += COMPONENTS
+        names += results[0].names
     table = number_table(title, ["", *(path.name for path in paths)])
     for row in zip(names, *columns, strict=True):
         table.add_row(*row)

@@ -23,7 +23,7 @@ from tactile_bringup.commands.changes import (
     workers_of,
 )
 from tactile_bringup.commands.quantize import quantize_run
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_TITLES, NETWORK_UNITS, errors_in_words
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS, errors_in_words
 from tactile_perception.estimating.model_metadata import MODEL_NAME, QUANTIZED_NAME
 from tactile_perception.training.config import profile
 
@@ -52,6 +52,8 @@ def register(subparsers: Any) -> None:
     add_set_option(parser, "change one setting", "SECTION.NAME=VALUE")
     add("--start", type=Path, metavar="RUN",
         help="start from the network of a finished run, as one trained on simulated images")  # fmt: skip
+    add("--model", metavar="NAME", help="contact model, what the network tells: surface (default), edge, "
+        "surface_force, or another package's (`tactile plugins --all`)")  # fmt: skip
     add("--limit", type=positive_int, metavar="N", help="use only N training samples")
     add("--install", type=Path, metavar="FILE", help="copy the exported model to FILE")
     add(
@@ -92,6 +94,8 @@ def _config(arguments: argparse.Namespace) -> Any:
         config = TrainConfig.from_file(arguments.config) if arguments.config else TrainConfig()
     if arguments.start:
         config = config.replaced(training__start=str(arguments.start.absolute()))
+    if arguments.model:
+        config = config.replaced(training__model=arguments.model)
     return config.changed(arguments.changes)
 
 
@@ -138,11 +142,17 @@ def _print_result(out: Path) -> None:
     console, result = Console(), RunFolder(out).result()
     loss = f"{result['loss']} {result['validation_loss']:.3f}"
     table = number_table(f"epoch {result['best_epoch']} of {result['epochs']}: {loss}", ["component", "MAE"])
-    for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True):
-        table.add_row(name, f"{result['mae'][name]:.4f} {unit}")
+    for name, unit in _units(result).items():
+        table.add_row(name, f"{result['mae'][name]:.4f} {unit}" if name in result["mae"] else "not labelled")
     console.print(table)
     say(console, f"{result['minutes']:.1f} min; stopped: {result['stopped']}")
     say(console, f"run: {out} (model: {out / MODEL_NAME})")
+
+
+def _units(result: dict[str, Any]) -> dict[str, str]:
+    """The units of a finished run's errors, by name; a run from before they were told has a surface's."""
+    units: dict[str, str] = result.get("units", dict(zip(COMPONENTS, NETWORK_UNITS, strict=True)))
+    return units
 
 
 def _train_many(arguments: argparse.Namespace) -> int:
@@ -198,7 +208,7 @@ def _train_here(job: Any, console: Console) -> str:
 
 
 def _line(name: str, result: dict[str, Any]) -> str:
-    mae = errors_in_words([result["mae"][component] for component in COMPONENTS])
+    mae = errors_in_words(result["mae"], _units(result))
     return f"{name}: {result['loss']} {result['validation_loss']:.3f}  MAE {mae}  {result['minutes']:.1f} min"
 
 
@@ -207,12 +217,13 @@ def _print_repeat(out: Path, runs: Sequence[Any]) -> None:
     results = {job.name: job.folder.result() for job in runs if job.folder.finished}
     if not results:
         return
+    first = next(iter(results.values()))
+    loss, known = first["loss"], {name: unit for name, unit in _units(first).items() if name in first["mae"]}
     rows = {
-        name: [result["validation_loss"], *(result["mae"][component] for component in COMPONENTS)]
+        name: [result["validation_loss"], *(result["mae"][component] for component in known)]
         for name, result in results.items()
     }
-    loss = next(iter(results.values()))["loss"]
-    units = [f"MAE {name}" for name in NETWORK_TITLES]
+    units = [f"MAE {name} ({unit})" for name, unit in known.items()]
     write_csv(out / "repeat.csv", ["run", loss, *units], ([name, *row] for name, row in rows.items()))
     values = np.array(list(rows.values()))
     deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.full(values.shape[1], np.nan)

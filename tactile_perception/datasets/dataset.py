@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.input_file import read_text
+from tactile_base.settings import SettingError
 from tactile_perception.datasets import layout, lenient_json
 from tactile_perception.datasets.image_settings import image_settings
 from tactile_perception.datasets.layout import DatasetError, DatasetReport
 from tactile_perception.datasets.mapping import TableMapping, UnknownTable
 from tactile_perception.datasets.table import Row, read_conventions, read_header, read_table
 from tactile_perception.datasets.writer import DatasetWriter
+from tactile_perception.estimating.contact_model import SURFACE, ContactModel
 from tactile_perception.estimating.image import (
     Image,
     ImageError,
@@ -38,7 +41,7 @@ from tactile_perception.estimating.image import (
     read_image,
     resolve,
 )
-from tactile_perception.estimating.labels import EULER_COMPONENTS, labels_from_euler
+from tactile_perception.estimating.labels import EULER_COMPONENTS
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 
 __all__ = [
@@ -120,20 +123,34 @@ class TactileDataset:
     ----------
     images : uint8 (N, size, size)
     euler_mm_deg : float64 (N, 6), Euler surface contact pose of X_fs
-    labels : float64 (N, 6), xi_sf in mm and rad
+    force : float64 (N, 3) in N
+    labelled : those of their components that are labelled; the others mean nothing
     sha256 : hash over names, labels and image files, in order
     """
 
     names: list[str]
     images: NDArray[np.uint8]
     euler_mm_deg: NDArray[np.float64]
-    labels: NDArray[np.float64]
+    force: NDArray[np.float64]
+    labelled: tuple[str, ...]
     preprocessing: PreprocessingSettings
     sha256: str
     report: DatasetReport
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @cached_property
+    def labels(self) -> NDArray[np.float64]:
+        """float64 (N, 6), xi_sf in mm and rad."""
+        return self.labels_for(SURFACE)
+
+    def labels_for(self, model: ContactModel) -> NDArray[np.float64]:
+        """What a network of this contact model is to say, (N, K); NaN where that is not labelled."""
+        try:
+            return model.labels(self.euler_mm_deg, self.force, self.labelled)
+        except SettingError as error:
+            raise DatasetError(f"{self.report.folder}: {error}") from error
 
 
 def open_folder(
@@ -202,6 +219,7 @@ def read_dataset(
     changes: Mapping[str, Any] | None = None,
     limit: int | None = None,
     progress: Callable[[int, int], None] | None = None,
+    complete: bool = True,
 ) -> TactileDataset:
     """Load a data folder into memory, leaving out and reporting images that cannot be used.
 
@@ -211,9 +229,11 @@ def read_dataset(
     changes : settings of the pre-processing that are to be others, as the size
     limit : take this many samples, spread evenly over the rows (published tables are sorted by depth)
     progress : called with (done, total)
+    complete : refuse data of which not all six components of the pose are labelled
     """
     source = open_folder(folder, preprocessing)
-    source.check_labelled()
+    if complete:
+        source.check_labelled()
     source.preprocessing = source.preprocessing.replaced(**(changes or {}))
     chosen = np.arange(len(source))
     if limit is not None and limit < len(source):
@@ -239,12 +259,12 @@ def read_dataset(
     source.report.samples = len(kept)
     if not kept:
         raise DatasetError("\n".join([f"{source.folder}: no readable image", *source.report.lines()]))
-    euler = source.euler_mm_deg[kept]
     return TactileDataset(
         names=[source.names[index] for index in kept],
         images=np.stack(images),
-        euler_mm_deg=euler,
-        labels=labels_from_euler(euler),
+        euler_mm_deg=source.euler_mm_deg[kept],
+        force=np.array([source.rows[index].force for index in kept]),
+        labelled=(*source.labelled, *source.forces),
         preprocessing=source.preprocessing,
         sha256=digest.hexdigest(),
         report=source.report,

@@ -8,6 +8,9 @@ xi_sf becomes the left-perturbation Gaussian over X_sf of the filter, and is rea
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -31,12 +34,19 @@ NETWORK_TITLES, EULER_TITLES, NETWORK_COLUMNS, EULER_COLUMNS = (
 )
 
 
-def errors_in_words(errors: ArrayLike) -> str:
-    """Errors (6,) of xi_sf in mm and rad on a line, with names and units."""
-    values = np.asarray(errors, np.float64)
-    rho = "/".join(f"{value:.3f}" for value in values[:3])
-    phi = "/".join(f"{value:.4f}" for value in values[3:])
-    return f"rho x/y/z {rho} mm, phi x/y/z {phi} rad"
+def errors_in_words(errors: Mapping[str, float], units: Mapping[str, str]) -> str:
+    """Errors by the name of their component on a line; those that are not known (NaN) are left out."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name, unit in units.items():
+        if not math.isnan(errors.get(name, math.nan)):
+            groups.setdefault((name.rpartition("_")[0], unit), []).append(name)
+    texts = []
+    for (prefix, unit), names in groups.items():
+        digits = 4 if unit == "rad" else 3
+        values = "/".join(f"{errors[name]:.{digits}f}" for name in names)
+        listed = "/".join(name.rpartition("_")[2] for name in names)
+        texts.append(f"{prefix} {listed} {values} {unit}".strip())
+    return ", ".join(texts)
 
 
 class EstimateError(ValueError):
@@ -98,15 +108,19 @@ def pose_gaussian(mean: Array, covariance: Array) -> PoseGaussian:
 
     `mean` is xi_sf (6,) and `covariance` (6, 6), in mm and rad.
     """
+    return gaussian_from_root(mean, covariance_root(covariance))
+
+
+def covariance_root(covariance: Array) -> Array:
+    """Lower triangular root of a network's covariance; `EstimateError` if it is not positive definite."""
     scale = np.sqrt(np.abs(np.diagonal(covariance)))
     try:
         # Of the correlations, so that units and sizes do not decide what is still positive.
-        root = scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale))
+        return np.asarray(scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale)))
     except np.linalg.LinAlgError as error:
         raise EstimateError(
             f"the network answered with a covariance that is not positive definite: {covariance}"
         ) from error
-    return gaussian_from_root(mean, root)
 
 
 def gaussian_from_root(mean: Array, root: Array) -> PoseGaussian:

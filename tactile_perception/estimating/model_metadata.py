@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tactile_base.input_file import parse_json
 from tactile_base.settings import shown
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.estimating.contact_model import SURFACE, ContactModel
 from tactile_perception.estimating.layout import Layout
 from tactile_perception.estimating.novelty import Novelty
 from tactile_perception.estimating.plain_depth import PlainDepth
@@ -26,14 +26,13 @@ from tactile_perception.evaluation.calibration import Calibration
 FORMAT = "tactile_servoing.gdn/1"
 INPUT_NAME = "image"
 MEAN, INVERSE_SIGMA, COVARIANCE = "mu", "inverse_sigma", "covariance"
-#: Shapes after the batch axis. A model has `mu` and one of the other two.
-OUTPUT_SHAPES = {MEAN: (6,), INVERSE_SIGMA: (6,), COVARIANCE: (6, 6)}
 #: Models in a run folder, the one to take first.
 RUN_MODELS = QUANTIZED_NAME, MODEL_NAME = "model_int8.onnx", "model.onnx"
 FRAMES = (
     "xi = [rho, phi] = ln(X_sf): the surface feature frame {f} in the sensor frame {s}. {s}: origin at the "
     "center of the hemispherical tip, z out of the tip. {f}: z into the surface, aligned with {s} where the "
-    "sensor just touches; inverse_sigma or covariance: of the components of xi around mu"
+    "sensor just touches; inverse_sigma or covariance: of the components around mu. Where the components are x, y, z, "
+    "alpha, beta, gamma, they are those of X_fs itself (extrinsic xyz)"
 )
 LAYOUT, PLAIN_DEPTH, NOVELTY = "layout", "plain_depth", "novelty"
 #: Entry with the SHA-256 of the whole file as it is with `UNSUMMED` in the entry's place.
@@ -75,6 +74,7 @@ class ModelMetadata:
     known
     plain_depth : depth by a weighted sum of brightness, which the network is held against; None: not known
     novelty : whether an image is like those of the training; None: not known
+    contact_model : what the network tells, and what labels have fixed of it; a file without it: a surface
     """
 
     preprocessing: PreprocessingSettings
@@ -85,9 +85,18 @@ class ModelMetadata:
     layout: Layout | None = None
     plain_depth: PlainDepth | None = None
     novelty: Novelty | None = None
-    components: tuple[str, ...] = COMPONENTS
-    units: tuple[str, ...] = NETWORK_UNITS
+    contact_model: ContactModel = SURFACE
     frames: str = FRAMES
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the network's outputs."""
+        return self.contact_model.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+        return self.contact_model.units
 
     @property
     def head(self) -> str:
@@ -104,6 +113,8 @@ class ModelMetadata:
         """As the strings that an ONNX file holds; everything but `format` is JSON."""
         values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
         values["preprocessing"] = dataclasses.asdict(self.preprocessing)
+        values["contact_model"] = self.contact_model.plain()
+        values |= {"components": self.components, "units": self.units}
         calibration, views = values.pop("calibration"), {name: values.pop(name) for name in _VIEWS}
         texts = {name: json.dumps(value) for name, value in values.items()}
         texts |= {name: view.to_text() for name, view in views.items() if view is not None}
@@ -122,6 +133,8 @@ class ModelMetadata:
         try:
             values = {name: parse_json(properties[name]) for name in _JSON_NAMES if name in properties}
             values["preprocessing"] = PreprocessingSettings.from_mapping(values["preprocessing"])
+            model = ContactModel.from_plain(values["contact_model"]) if "contact_model" in values else SURFACE
+            values["contact_model"] = model
             if "calibration" in properties:
                 values["calibration"] = Calibration.from_json(properties["calibration"])
             if LAYOUT in properties:
@@ -132,17 +145,27 @@ class ModelMetadata:
                 values[NOVELTY] = Novelty.from_text(properties[NOVELTY], values["preprocessing"].size)
         except (ValueError, TypeError) as error:
             raise MetadataError(f"unreadable metadata: {error}") from error
-        for name, expected in (("units", NETWORK_UNITS), ("components", COMPONENTS)):
-            if values[name] != list(expected):
-                raise MetadataError(f"{name} are {shown(values[name])}, must be {list(expected)}")
-            values[name] = expected
+        for name, expected in (("units", model.units), ("components", model.names)):
+            found = values.pop(name)
+            if found != list(expected):
+                raise MetadataError(f"{name} are {shown(found)}, must be {list(expected)}")
+        calibration = values.get("calibration", Calibration())
+        if not calibration.is_identity and calibration.size != model.size:
+            raise MetadataError(f"calibration: is not of the {model.size} quantities of the contact model")
         _check_facts(values)
         return cls(**values)
 
 
-_JSON_NAMES = tuple(
-    item.name for item in dataclasses.fields(ModelMetadata) if item.name not in ("calibration", *_VIEWS)
+_JSON_NAMES = (
+    *(item.name for item in dataclasses.fields(ModelMetadata) if item.name not in ("calibration", *_VIEWS)),
+    "components",
+    "units",
 )
+
+
+def output_shapes(size: int) -> dict[str, tuple[int, ...]]:
+    """Shapes after the batch axis, for so many quantities. A model has `mu` and one of the other two."""
+    return {MEAN: (size,), INVERSE_SIGMA: (size,), COVARIANCE: (size, size)}
 
 
 def _check_facts(values: Mapping[str, Any]) -> None:

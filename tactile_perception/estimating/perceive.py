@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_filter.force import ForceGaussian
 from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.estimating.image import Image
 from tactile_perception.estimating.image_check import SIDE, ImageCheck, ImageRefused
@@ -46,6 +47,8 @@ class Percept:
     novelty : float
         How unlike the training images the image is, foreign above 1 (`Novelty`); NaN where that is not known.
         From what is usual on, the estimate's covariance has grown with it.
+    force : ForceGaussian or None
+        The force on the sensor (N, in {s}), beside `estimate`; None where the model does not tell it.
     """
 
     in_contact: bool | None
@@ -55,6 +58,7 @@ class Percept:
     still: bool = False
     plain_depth: float = nan
     novelty: float = nan
+    force: ForceGaussian | None = None
 
 
 class DepthAgreement:
@@ -77,6 +81,7 @@ class DepthAgreement:
         return replace(
             percept,
             estimate=None,
+            force=None,
             fault=f"the network says that the contact is {depth * 1e3:.1f} mm deep, and the brightness of "
             f"the image {plain * 1e3:.1f} mm",
         )
@@ -163,7 +168,10 @@ class Perceiver:
         """A percept with its image's novelty, by which its covariance grows."""
         measure, estimate = self.estimator.metadata.novelty, percept.estimate
         if measure is not None and estimate is not None and novelty > measure.usual:
-            estimate = replace(estimate, cov=measure.growth(novelty) ** 2 * estimate.cov)
+            growth = measure.growth(novelty) ** 2
+            estimate = replace(estimate, cov=growth * estimate.cov)
+            if percept.force is not None:
+                percept = replace(percept, force=replace(percept.force, cov=growth * percept.force.cov))
         return replace(percept, estimate=estimate, novelty=novelty)
 
     def _no_reference(self, prepared: NDArray) -> str:
@@ -190,6 +198,6 @@ class Perceiver:
         self, make: Callable[..., PoseGaussian], image: NDArray, in_contact: bool | None, score: float
     ) -> Percept:
         try:
-            return Percept(in_contact, score, make(image))
+            return Percept(in_contact, score, make(image), force=self.estimator.force)
         except EstimateError as error:
             return Percept(in_contact, score, fault=str(error))

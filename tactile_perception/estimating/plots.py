@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_TITLES, NETWORK_UNITS
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.estimating.run import EstimateTable
 
 Array = NDArray[np.float64]
@@ -29,24 +29,35 @@ _MOST_TICKS = 5
 def draw_estimates(table: EstimateTable, path: Path, title: str) -> None:
     """The paper's figure: one row of plots for the network and, where there is one, one for the filter."""
     rows: list[Row] = [(name, table.labels, found.mean, found.sigma) for name, found in table.series.items()]
-    draw_predicted_against_actual(path, rows, title)
+    draw_predicted_against_actual(path, rows, title, table.model.names, table.model.units)
 
 
-def draw_predicted_against_actual(path: Path, rows: Sequence[Row], title: str) -> None:
-    """The paper's figure: predicted against actual, colored by precision, two rows of plots for each entry.
+def draw_predicted_against_actual(
+    path: Path,
+    rows: Sequence[Row],
+    title: str,
+    names: Sequence[str] = COMPONENTS,
+    units: Sequence[str] = NETWORK_UNITS,
+) -> None:
+    """The paper's figure: predicted against actual, colored by precision, rows of three plots for each entry.
 
-    A row is (name, actual (N, 6), predicted (N, 6), sigma (N, 6) or None), in mm and rad.
+    A row is (name, actual (N, K), predicted (N, K), sigma (N, K) or None) of K components with names and units.
     """
-    figure, grid = plot_grid(2 * len(rows), 3, 3.2)
-    for axes_row, (name, actual, predicted, sigma) in zip(grid.reshape(-1, 6), rows, strict=True):
+    lines = -(-len(names) // 3)
+    figure, grid = plot_grid(lines * len(rows), 3, 3.2)
+    for axes_row, (name, actual, predicted, sigma) in zip(grid.reshape(len(rows), -1), rows, strict=True):
         for component, axes in enumerate(axes_row):
-            deviation, unit = None if sigma is None else sigma[:, component], NETWORK_UNITS[component]
+            if component >= len(names) or not np.isfinite(actual[:, component]).any():
+                axes.set_axis_off()
+                continue
+            deviation, unit = None if sigma is None else sigma[:, component], units[component]
             _scatter(figure, axes, actual[:, component], predicted[:, component], deviation, unit)
             mae = np.nanmean(np.abs(predicted[:, component] - actual[:, component]))
-            axes.set_title(f"{COMPONENTS[component]}: MAE {mae:.3g} {unit}")
+            axes.set_title(f"{names[component]}: MAE {mae:.3g} {unit}")
             axes.set(xlabel=f"actual ({unit})", ylabel="predicted" if component % 3 else f"{name}\npredicted")
     figure.suptitle(title)
-    figure.supxlabel(_WELL, fontsize=9, color="#555555")
+    if COMPONENTS[0] in names:
+        figure.supxlabel(_WELL, fontsize=9, color="#555555")
     figure.savefig(path, dpi=DPI)
 
 
@@ -114,12 +125,13 @@ def draw_series(table: EstimateTable, path: Path, title: str) -> None:
     """Each component over time with its 2-sigma band."""
     figure = Figure(figsize=(12.0, 9.0), layout="constrained")
     seconds = np.array(table.stamps_ns) * 1e-9
-    for component, axes in enumerate(figure.subplots(6, 1, sharex=True)):
+    titles = table.model.titles
+    for component, axes in enumerate(figure.subplots(len(titles), 1, sharex=True)):
         for name, values in table.series.items():
             mean, sigma = values.mean[:, component], values.sigma[:, component]
             (line,) = axes.plot(seconds, mean, linewidth=0.9, label=name)
             axes.fill_between(seconds, mean - 2 * sigma, mean + 2 * sigma, color=line.get_color(), alpha=0.2)
-        axes.set_ylabel(NETWORK_TITLES[component])
+        axes.set_ylabel(titles[component])
         axes.grid(alpha=0.3)
     axes.set_xlabel("time (s)")
     axes.legend()

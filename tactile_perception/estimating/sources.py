@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from tactile_base.input_file import check_regular
 from tactile_base.stamps import SECOND_NS
 from tactile_perception.datasets.dataset import DatasetError, TactileFolder
+from tactile_perception.estimating.contact_model import ContactModel
 from tactile_perception.estimating.image import Image, ImageError
-from tactile_perception.estimating.labels import EULER_COLUMNS, surface_contact_pose
+from tactile_perception.estimating.labels import EULER_COLUMNS, EULER_COMPONENTS, surface_contact_pose
 
 
 class SourceError(ValueError):
@@ -30,6 +31,8 @@ class Frame:
     ----------
     processed : the image is already cropped and thresholded
     label : Euler surface contact pose (6,) in mm and degrees, or None
+    force : (3,) in N, as labelled
+    labelled : what of both is
     T_base_sensor : (4, 4) pose of the sensor in SI, or None
     """
 
@@ -39,14 +42,22 @@ class Frame:
     processed: bool
     label: NDArray[np.float64] | None = None
     T_base_sensor: NDArray[np.float64] | None = None
+    force: NDArray[np.float64] = field(default_factory=lambda: np.full(3, np.nan))
+    labelled: tuple[str, ...] = EULER_COMPONENTS
+
+    def label_for(self, model: ContactModel) -> NDArray[np.float64]:
+        """What a network of this contact model is to say (K,); NaN where that is not labelled."""
+        assert self.label is not None
+        return model.labels(self.label[None], self.force[None], self.labelled)[0]
 
 
 def folder_frames(folder: TactileFolder, order: NDArray[np.int64], period_s: float = 0.1) -> Iterator[Frame]:
     """Images of a data folder in the given order, with their labels.
 
     A flat, fixed surface is the base here, so that a label is the sensor's pose too (the paper's filter
-    experiment). `ImageError` from an unusable image ends the iteration; `order` leaves those out.
+    experiment), where all of it is labelled. `ImageError` from an unusable image ends the iteration; `order` leaves those out.
     """
+    whole = set(EULER_COMPONENTS) <= set(folder.labelled)
     for count, index in enumerate(order):
         euler = folder.euler_mm_deg[index]
         yield Frame(
@@ -55,7 +66,9 @@ def folder_frames(folder: TactileFolder, order: NDArray[np.int64], period_s: flo
             image=folder.image(index),
             processed=folder.processed,
             label=euler,
-            T_base_sensor=surface_contact_pose(euler),
+            T_base_sensor=surface_contact_pose(euler) if whole else None,
+            force=folder.rows[index].force,
+            labelled=(*folder.labelled, *folder.forces),
         )
 
 

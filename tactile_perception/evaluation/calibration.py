@@ -82,11 +82,11 @@ class Calibration:
 
     Attributes
     ----------
-    sigma_knots, sigma_values : (6, K) natural logarithms of deviations (mm, rad) and of the factors there
+    sigma_knots, sigma_values : (K, knots) natural logarithms of deviations (mm, rad) and of the factors there
     depth_knots : (D,) predicted rho_z in mm
-    depth_values : (6, D) logarithms of the factors there, on top of the others
-    correlation : (6, 6) of the errors, or () to leave the network's own
-    floor : (6,) standard deviations in mm and rad, added in quadrature after the factors
+    depth_values : (K, D) logarithms of the factors there, on top of the others
+    correlation : (K, K) of the errors, or () to leave the network's own
+    floor : (K,) standard deviations in mm, rad and N, added in quadrature after the factors
     samples : number of samples it was fitted on; 0 for the identity
     nees_error : standard error of the joint NEES / 6 that so many samples leave
     """
@@ -103,14 +103,21 @@ class Calibration:
     def __post_init__(self) -> None:
         for name in ("sigma_knots", "sigma_values", "depth_knots", "depth_values", "correlation", "floor"):
             object.__setattr__(self, name, _finite_tuple(name, getattr(self, name)))
-        for where, *pair in zip(COMPONENTS, self.sigma_knots, self.sigma_values, strict=True):
-            _check_knots(where, *pair)
-        for where, values in zip(COMPONENTS, self.depth_values, strict=True):
-            _check_knots(where, self.depth_knots, values)
-        if len(self.floor) != OUTPUTS or min(self.floor) < 0.0:
-            raise CalibrationError(f"floor: must be {OUTPUTS} numbers that are not negative, is {self.floor}")
+        for name in ("sigma_values", "depth_values", "floor"):
+            if len(getattr(self, name)) != self.size:
+                raise CalibrationError(f"{name}: must be {self.size} numbers, as sigma_knots has rows")
+        for k, pair in enumerate(zip(self.sigma_knots, self.sigma_values, strict=True)):
+            _check_knots(f"component {k + 1}", *pair)
+            _check_knots(f"component {k + 1}", self.depth_knots, self.depth_values[k])
+        if min(self.floor) < 0.0:
+            raise CalibrationError(f"floor: must be numbers that are not negative, is {self.floor}")
         if self.correlation:
-            _check_correlation(np.array(self.correlation))
+            _check_correlation(np.array(self.correlation), self.size)
+
+    @property
+    def size(self) -> int:
+        """Number of quantities that it is of; the identity fits any."""
+        return len(self.sigma_knots)
 
     @cached_property
     def is_identity(self) -> bool:
@@ -119,7 +126,7 @@ class Calibration:
         return not self.correlation and not any(map(any, rows))
 
     def factors(self, mean: ArrayLike, sigma: ArrayLike) -> Array:
-        """Factors on standard deviations: mean and sigma (6,) or (N, 6) in mm and rad -> the same shape."""
+        """Factors on standard deviations: mean and sigma (K,) or (N, K) in mm, rad, N -> the same shape."""
         mean, sigma = np.asarray(mean, np.float64), np.asarray(sigma, np.float64)
         if mean.ndim == 1:
             return self._factors_of_one(float(mean[DEPTH]), sigma.tolist())
@@ -127,12 +134,12 @@ class Calibration:
         logs = [
             np.interp(log_sigma[..., j], self.sigma_knots[j], self.sigma_values[j])
             + np.interp(depth, self.depth_knots, self.depth_values[j])
-            for j in range(OUTPUTS)
+            for j in range(self.size)
         ]
         return np.hypot(np.exp(np.stack(logs, axis=-1)), np.array(self.floor) / sigma)
 
     def _factors_of_one(self, depth: float, sigma: list[float]) -> Array:
-        """Factors (6,) of one image, without NumPy, whose calls cost more than they compute."""
+        """Factors (K,) of one image, without NumPy, whose calls cost more than they compute."""
         return np.array(
             [
                 math.hypot(
@@ -142,12 +149,12 @@ class Calibration:
                     ),
                     self.floor[j] / sigma[j],
                 )
-                for j in range(OUTPUTS)
+                for j in range(self.size)
             ]
         )
 
     def covariance(self, mean: ArrayLike, cov: ArrayLike) -> Array:
-        """Calibrated covariance around mu in the tangent space (mm, rad): (..., 6, 6) -> the same shape."""
+        """Calibrated covariance around mu (mm, rad, N): (..., K, K) -> the same shape."""
         cov = np.asarray(cov, np.float64)
         if self.is_identity:
             return cov
@@ -191,57 +198,74 @@ def _interpolated(x: float, knots: Sequence[float], values: Sequence[float]) -> 
 
 
 def fit_calibration(
-    labels: ArrayLike, mean: ArrayLike, cov: ArrayLike, settings: CalibrationSettings | None = None
+    labels: ArrayLike,
+    mean: ArrayLike,
+    cov: ArrayLike,
+    settings: CalibrationSettings | None = None,
+    error: ArrayLike | None = None,
 ) -> Calibration:
     """Fit the factors to a network's errors on data that it was not trained on.
 
     `CalibrationError` for fewer than `settings.min_samples` rows, arrays that do not fit together, or values
-    that are not finite.
+    that are not finite. What has no labels (NaN) is left as it is; floor and margin are of the pose alone.
 
     Parameters
     ----------
-    labels, mean : (N, 6) xi_sf and its predictions, in mm and rad
-    cov : (N, 6, 6) predicted covariances, or (N, 6) predicted standard deviations (not inverse ones)
+    labels, mean : (N, K) what the network is to say (xi_sf) and its predictions, in mm, rad and N
+    cov : (N, K, K) predicted covariances, or (N, K) predicted standard deviations (not inverse ones)
+    error : (N, K) mean - labels, where that is not the plain difference
     """
     settings = settings or CalibrationSettings()
     labels, mean, cov = (np.asarray(value, np.float64) for value in (labels, mean, cov))
     sigma = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1)) if cov.ndim == 3 else cov
     _check_data(labels, mean, sigma, settings)
-    log_sigma, squared = np.log(sigma), ((labels - mean) / sigma) ** 2
+    error = labels - mean if error is None else np.asarray(error, np.float64)
+    log_sigma, squared, known = np.log(sigma), (error / sigma) ** 2, np.isfinite(labels)
+    extra = labels.shape[1] - OUTPUTS
+    margin, floor = (*settings.margin, *(1.0,) * extra), (*settings.floor, *(0.0,) * extra)
     depth_knots = _knots(mean[:, DEPTH], settings.depth_knots)
     depth_basis = _hats(mean[:, DEPTH], depth_knots)
     sigma_knots, sigma_values, depth_values = [], [], []
-    for j in range(OUTPUTS):
-        knots = _knots(log_sigma[:, j], settings.sigma_knots)
+    for j in range(labels.shape[1]):
+        rows = known[:, j]
+        if rows.sum() < settings.min_samples:
+            sigma_knots.append(np.zeros(1))
+            sigma_values.append(np.zeros(1))
+            depth_values.append(np.zeros(len(depth_knots)))
+            continue
+        knots = _knots(log_sigma[rows, j], settings.sigma_knots)
         values, depth_part = _fit_component(
-            squared[:, j], _hats(log_sigma[:, j], knots), depth_basis, settings.stiffness
+            squared[rows, j], _hats(log_sigma[rows, j], knots), depth_basis[rows], settings.stiffness
         )
         sigma_knots.append(knots)
-        sigma_values.append(values + np.log(settings.margin[j]))
+        sigma_values.append(values + np.log(margin[j]))
         depth_values.append(depth_part)
     fitted = Calibration(
         sigma_knots=tuple(map(tuple, sigma_knots)),
         sigma_values=tuple(map(tuple, sigma_values)),
         depth_knots=tuple(depth_knots),
         depth_values=tuple(map(tuple, depth_values)),
-        floor=settings.floor,
+        floor=tuple(np.where(known.any(axis=0), floor, 0.0)),
         samples=len(labels),
     )
-    return _completed(fitted, labels, mean, sigma, settings)
+    return _completed(fitted, error, mean, sigma, settings)
 
 
 def _completed(
-    fitted: Calibration, labels: Array, mean: Array, sigma: Array, settings: CalibrationSettings
+    fitted: Calibration, error: Array, mean: Array, sigma: Array, settings: CalibrationSettings
 ) -> Calibration:
     """The standard error of the NEES, and the correlation where it is wanted."""
-    z = (labels - mean) / (sigma * fitted.factors(mean, sigma))
-    error = float((z**2).mean(axis=1).std() / np.sqrt(len(z)))
+    z = error / (sigma * fitted.factors(mean, sigma))
+    known = np.isfinite(z).any(axis=0)
+    deviation_of_nees = float(np.nanmean(z[:, known] ** 2, axis=1).std() / np.sqrt(len(z)))
     correlation: tuple[tuple[float, ...], ...] = ()
     if settings.correlation:
-        second = z.T @ z / len(z)
+        whole = np.isfinite(z[:, known]).all(axis=1)
+        second = np.eye(len(known))
+        second[np.ix_(known, known)] = z[np.ix_(whole, known)].T @ z[np.ix_(whole, known)] / whole.sum()
         deviation = np.sqrt(np.diag(second))
         correlation = tuple(map(tuple, second / np.outer(deviation, deviation)))
-    return dataclasses.replace(fitted, correlation=correlation, nees_error=error)
+    return dataclasses.replace(fitted, correlation=correlation, nees_error=deviation_of_nees)
 
 
 def _fit_component(
@@ -293,13 +317,15 @@ def _hats(values: Array, knots: Array) -> Array:
 
 
 def _check_data(labels: Array, mean: Array, sigma: Array, settings: CalibrationSettings) -> None:
+    size = max(OUTPUTS, labels.shape[-1])
     for name, value in (("mean", mean), ("sigma", sigma), ("labels", labels)):
-        if value.ndim != 2 or value.shape != (len(labels), OUTPUTS):
-            raise CalibrationError(
-                f"{name}: must have the shape ({len(labels)}, {OUTPUTS}), has {value.shape}"
-            )
-        if not np.isfinite(value).all():
-            raise CalibrationError(f"{name}: {np.count_nonzero(~np.isfinite(value))} values are not finite")
+        if value.ndim != 2 or value.shape != (len(labels), size):
+            raise CalibrationError(f"{name}: must have the shape ({len(labels)}, {size}), has {value.shape}")
+        finite = np.isfinite(value)
+        if value is labels:  # of the pose all rows are labelled or none; a row may lack a force
+            finite = finite | (np.isnan(value) & (np.isnan(value).all(axis=0) | (np.arange(size) >= OUTPUTS)))
+        if not finite.all():
+            raise CalibrationError(f"{name}: {np.count_nonzero(~finite)} values are not finite")
     if not (sigma > 0.0).all():
         raise CalibrationError("sigma: must be positive")
     if len(labels) < settings.min_samples:
@@ -314,9 +340,9 @@ def _check_knots(where: str, knots: tuple[float, ...], values: tuple[float, ...]
         raise CalibrationError(f"{where}: must have one value for each of its increasing knots")
 
 
-def _check_correlation(matrix: Array) -> None:
-    if matrix.shape != (OUTPUTS, OUTPUTS) or not np.allclose(matrix, matrix.T):
-        raise CalibrationError(f"correlation: must be a symmetric ({OUTPUTS}, {OUTPUTS}) matrix")
+def _check_correlation(matrix: Array, size: int) -> None:
+    if matrix.shape != (size, size) or not np.allclose(matrix, matrix.T):
+        raise CalibrationError(f"correlation: must be a symmetric ({size}, {size}) matrix")
     if not np.allclose(np.diag(matrix), 1.0) or np.linalg.eigvalsh(matrix)[0] <= 0.0:
         raise CalibrationError("correlation: must have a unit diagonal and be positive definite")
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_perception.datasets.dataset import DatasetError, DatasetReport, TactileDataset, read_dataset
+from tactile_perception.estimating.contact_model import POSE, SURFACE, ContactModel
 from tactile_perception.estimating.model_metadata import unseen_rows
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, as_input
 from tactile_perception.evaluation import metrics
@@ -27,10 +28,12 @@ class EvaluationData:
 
     Attributes
     ----------
-    labels : (N, 6) xi_sf in mm and rad
+    labels : (N, K) what the networks are to say (xi_sf) in mm, rad and N; NaN: not labelled
     euler_mm_deg : (N, 6) Euler surface contact pose
     images : by pre-processing, uint8 (N, size, size)
     notes : what a reader of the results should know about folder and models
+    model : what the networks tell
+    compared : which of its quantities are labelled here and fixed in the networks
     """
 
     folder: Path
@@ -41,9 +44,16 @@ class EvaluationData:
     sha256: str
     report: DatasetReport
     notes: list[str] = field(default_factory=list)
+    model: ContactModel = SURFACE
+    compared: tuple[int, ...] = tuple(range(SURFACE.size))
 
     def __len__(self) -> int:
         return len(self.labels)
+
+    @property
+    def targets(self) -> Array:
+        """The labels of what is compared (N, C)."""
+        return self.labels[:, list(self.compared)]
 
 
 @dataclass(frozen=True)
@@ -59,7 +69,12 @@ class Assessment:
 
 @dataclass(frozen=True)
 class ModelResult:
-    """Results of a model (or ensemble) as it answers and, where it has a calibration, calibrated."""
+    """Results of a model (or ensemble) as it answers and, where it has a calibration, calibrated.
+
+    Attributes
+    ----------
+    names, units : of what is compared
+    """
 
     name: str
     kind: str
@@ -68,6 +83,18 @@ class ModelResult:
     calibrated: Assessment | None = None
     calibration_source: str = ""
     members: int = 1
+    names: tuple[str, ...] = SURFACE.names
+    units: tuple[str, ...] = SURFACE.units
+
+    @property
+    def titles(self) -> list[str]:
+        """Names and units of what is compared."""
+        return [f"{name} ({unit})" for name, unit in zip(self.names, self.units, strict=True)]
+
+    @property
+    def columns(self) -> list[str]:
+        """The same for columns of files."""
+        return [f"{name}_{unit}" for name, unit in zip(self.names, self.units, strict=True)]
 
     @property
     def best(self) -> Assessment:
@@ -91,9 +118,20 @@ def load_data(
     folder = Path(folder)
     _check_folder(folder)
     wanted = list(dict.fromkeys(model.metadata.preprocessing for model in models))
-    sets = [read_dataset(folder, settings, progress=progress) for settings in wanted]
+    told = _told(models)
+    sets = [read_dataset(folder, settings, progress=progress, complete=False) for settings in wanted]
     first = sets[0]
     rows, notes = _rows_to_use(folder, first, models)
+    labels = first.labels_for(told)
+    known = np.logical_and.reduce([model.metadata.contact_model.known for model in models])
+    compared = np.flatnonzero(known & [name in first.labelled for name in told.quantity_names])
+    whole = np.isfinite(labels[np.ix_(rows, compared)]).all(axis=1)
+    if not whole.all():
+        notes.append(f"{np.count_nonzero(~whole)} samples without all of these labels are left out")
+        rows = rows[whole]
+    if len(compared) < told.size:
+        listed = ", ".join(told.quantity_names[k] for k in range(told.size) if k not in compared)
+        notes.append(f"not compared, since not labelled here or in training: {listed}")
     if limit is not None and limit < len(rows):
         rows = rows[np.linspace(0, len(rows) - 1, limit).round().astype(int)]
         notes.append(f"took {limit} samples, spread over the table")
@@ -102,13 +140,27 @@ def load_data(
     return EvaluationData(
         folder=folder,
         names=[first.names[row] for row in rows],
-        labels=first.labels[rows],
+        labels=labels[rows],
         euler_mm_deg=first.euler_mm_deg[rows],
         images=images,
         sha256=first.sha256,
         report=first.report,
         notes=list(filter(None, notes)),
+        model=told,
+        compared=tuple(compared.tolist()),
     )
+
+
+def _told(models: Sequence[Model]) -> ContactModel:
+    """What the models tell; `DatasetError` if it is not the same."""
+    first = models[0].metadata.contact_model
+    for model in models:
+        if model.metadata.contact_model.columns != first.columns:
+            raise DatasetError(
+                f"{model.name} tells {', '.join(model.metadata.components)}, and {models[0].name} "
+                f"{', '.join(first.names)}: evaluate them one by one"
+            )
+    return first
 
 
 def _familiarity(model: Model, images: NDArray[np.uint8]) -> str:
@@ -241,8 +293,13 @@ def _of_calibrated_members(members: Sequence[Predictions | None]) -> Calibrated:
 
 
 def predict(model: Model, data: EvaluationData, progress: Callable[[int], None] | None = None) -> Predictions:
-    """A model's own predictions for all samples of the data."""
-    return model.predict(data.images[model.metadata.preprocessing], progress)
+    """A model's own predictions for all samples of the data, angles as near to their labels as they are."""
+    found = model.predict(data.images[model.metadata.preprocessing], progress)
+    if not (turning := list(data.model.turning)):
+        return found
+    mean = found.mean.copy()
+    mean[:, turning] = (data.labels + data.model.error(found.mean, data.labels))[:, turning]
+    return Predictions(mean, found.cov)
 
 
 def assess(
@@ -255,14 +312,21 @@ def assess(
     members: int = 1,
 ) -> ModelResult:
     """Everything about one set of predictions, before and after calibration."""
+    compared, told = data.compared, data.model
+    euler = metrics.euler_error(data.euler_mm_deg, told.euler(predictions.mean))
+    euler[:, [k for k in range(POSE) if k not in compared]] = np.nan
+    predictions = predictions.columns(compared)
+    units = tuple(told.units[k] for k in compared)
     return ModelResult(
         name=name,
         kind=kind,
-        accuracy=metrics.accuracy(data.labels, data.euler_mm_deg, predictions),
+        accuracy=metrics.accuracy(data.targets, euler, predictions, units),
         raw=_assessment(data, predictions),
-        calibrated=None if calibrated is None else _assessment(data, calibrated),
+        calibrated=None if calibrated is None else _assessment(data, calibrated.columns(compared)),
         calibration_source=source,
         members=members,
+        names=tuple(told.names[k] for k in compared),
+        units=units,
     )
 
 
@@ -271,8 +335,8 @@ def _assessment(data: EvaluationData, predictions: Predictions) -> Assessment:
     uncertain = predictions.cov is not None
     return Assessment(
         predictions=predictions,
-        consistency=metrics.consistency(data.labels, predictions) if uncertain else None,
-        by_sigma=metrics.by_predicted_sigma(data.labels, predictions) if uncertain else None,
-        by_depth=metrics.binned(data.labels, predictions, depth, metrics.depth_edges(depth)),
-        by_shear=metrics.binned(data.labels, predictions, shear, metrics.depth_edges(shear)),
+        consistency=metrics.consistency(data.targets, predictions) if uncertain else None,
+        by_sigma=metrics.by_predicted_sigma(data.targets, predictions) if uncertain else None,
+        by_depth=metrics.binned(data.targets, predictions, depth, metrics.depth_edges(depth)),
+        by_shear=metrics.binned(data.targets, predictions, shear, metrics.depth_edges(shear)),
     )

@@ -20,6 +20,8 @@ from tactile_filter.fusion import fuse
 from tactile_filter.propagation import predict
 from tactile_geometry import se3
 from tactile_geometry.gaussian import PoseGaussian
+from tactile_perception.datasets.layout import DatasetError
+from tactile_perception.estimating.contact_model import POSE
 from tactile_perception.estimating.labels import pose_gaussian, surface_contact_pose, tangent_gaussian
 from tactile_perception.estimating.sources import Frame
 from tactile_perception.evaluation.evaluate import EvaluationData
@@ -120,20 +122,26 @@ def contact_sequence(data: EvaluationData, sigma_psi: float, seed: int) -> Conta
     """The data set in random order with motions of noise `sigma_psi` (mm and degrees)."""
     order = np.random.default_rng(seed).permutation(len(data))
     drift = Drift(sigma_psi, seed)
+    if not data.model.tangent or data.compared[:POSE] != tuple(range(POSE)):
+        raise DatasetError(
+            f"{data.folder}: the filter's experiment needs labels of all six components, as sensor's poses, and "
+            f"networks of a surface, not of '{data.model.name}'"
+        )
     poses = [drift(surface_contact_pose(euler)) for euler in data.euler_mm_deg[order]]
-    return ContactSequence(order, data.labels[order], np.array(poses))
+    return ContactSequence(order, data.labels[order, :POSE], np.array(poses))
 
 
 def pose_gaussians(predictions: Predictions) -> list[PoseGaussian]:
     """X_sf as left-perturbation Gaussians in SI (paper, eq. left_perturbation_cov)."""
     if predictions.cov is None:
         raise ValueError("a network without uncertainty has nothing that a filter could weigh")
-    return [pose_gaussian(mean, cov) for mean, cov in zip(predictions.mean, predictions.cov, strict=True)]
+    pairs = zip(predictions.mean[:, :POSE], predictions.cov[:, :POSE, :POSE], strict=True)
+    return [pose_gaussian(mean, cov) for mean, cov in pairs]
 
 
 def unfiltered(sequence: ContactSequence, predictions: Predictions) -> FilterRun:
     """The sequence without a filter: sigma_psi = infinity."""
-    taken = predictions.taken(sequence.order)
+    taken = predictions.columns(range(POSE)).taken(sequence.order)
     return _scored(sequence, taken, math.nan)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
-from tactile_perception.estimating.labels import COMPONENTS, euler_from_label
 from tactile_perception.evaluation.calibration import Calibration
 
 Array = NDArray[np.float64]
@@ -17,18 +16,18 @@ Array = NDArray[np.float64]
 LEVELS = (0.50, 0.90, 0.95, 0.99)
 #: Nominal levels of the reliability diagrams.
 CURVE = np.linspace(0.0, 1.0, 41)
-#: The paper's weights of the CNN's mean squared error (eq. mse_loss_def).
-MSE_WEIGHTS = np.array([1.0, 1.0, 1.0, 100.0, 100.0, 100.0])
+#: The paper's weights of the CNN's mean squared error (eq. mse_loss_def), by unit.
+MSE_WEIGHTS = {"mm": 1.0, "rad": 100.0, "N": 0.0}
 
 
 @dataclass(frozen=True)
 class Predictions:
-    """Gaussians over xi_sf in the tangent space.
+    """Gaussians over what the networks tell: xi_sf in the tangent space, or another contact model's quantities.
 
     Attributes
     ----------
-    mean : (N, 6) in mm and rad
-    cov : (N, 6, 6) in mm and rad, or None from a network without uncertainty
+    mean : (N, K) in mm, rad and N
+    cov : (N, K, K), or None from a network without uncertainty
     """
 
     mean: Array
@@ -39,7 +38,7 @@ class Predictions:
 
     @property
     def sigma(self) -> Array:
-        """Standard deviations (N, 6)."""
+        """Standard deviations (N, K)."""
         if self.cov is None:
             raise ValueError("predictions without uncertainty have no standard deviations")
         return np.sqrt(np.diagonal(self.cov, axis1=1, axis2=2))
@@ -49,6 +48,11 @@ class Predictions:
         if self.cov is None:
             raise ValueError("predictions without uncertainty cannot be calibrated")
         return Predictions(self.mean, calibration.covariance(self.mean, self.cov))
+
+    def columns(self, chosen: Sequence[int]) -> Predictions:
+        """Those of some quantities."""
+        at = list(chosen)
+        return Predictions(self.mean[:, at], None if self.cov is None else self.cov[:, at][:, :, at])
 
     def taken(self, chosen: NDArray[np.int64]) -> Predictions:
         """Those of some samples, in their order."""
@@ -70,20 +74,15 @@ def moment_matched(members: Sequence[Predictions]) -> Predictions:
     return Predictions(mean, np.mean(covs, axis=0) + between)
 
 
-def euler_of(mean: Array) -> Array:
-    """Euler surface contact poses (N, 6) in mm and degrees of network vectors xi_sf (N, 6) in mm and rad."""
-    return np.array([euler_from_label(row) for row in mean])
-
-
 @dataclass(frozen=True)
 class Accuracy:
     """Errors of the means.
 
     Attributes
     ----------
-    mse : the paper's weighted mean squared error
-    mae, rmse, bias : (6,) of xi_sf in mm and rad; bias is prediction less label
-    euler_mae : (6,) of the Euler surface contact pose in mm and degrees
+    mse : the paper's weighted mean squared error, of the pose
+    mae, rmse, bias : (K,) of xi_sf (of what is compared) in mm, rad and N; bias is prediction less label
+    euler_mae : (6,) of the Euler surface contact pose in mm and degrees; NaN where it is not labelled
     """
 
     mse: float
@@ -100,12 +99,12 @@ class Consistency:
     Attributes
     ----------
     nll : mean negative log-likelihood (paper, eq. gdn_mean_nll_loss_def), in mm and rad
-    nees : (6,) mean of (error / sigma)^2; 1 is right, more is overconfident
+    nees : (K,) mean of (error / sigma)^2; 1 is right, more is overconfident
     nees_interval : in which 95 % of such means lie if the Gaussians are right
-    joint, joint_interval : the same of the joint NEES / 6
-    coverage : (len(LEVELS), 6) fraction of labels in the central intervals of LEVELS
-    curve : (len(CURVE), 6) the same at the levels of CURVE
-    sharpness : (6,) mean predicted standard deviation in mm and rad
+    joint, joint_interval : the same of the joint NEES / K
+    coverage : (len(LEVELS), K) fraction of labels in the central intervals of LEVELS
+    curve : (len(CURVE), K) the same at the levels of CURVE
+    sharpness : (K,) mean predicted standard deviation in mm, rad and N
     """
 
     nll: float
@@ -118,21 +117,22 @@ class Consistency:
     sharpness: Array
 
 
-def accuracy(labels: Array, euler_mm_deg: Array, predictions: Predictions) -> Accuracy:
-    """Errors of the means; labels (N, 6) in mm and rad, Euler poses (N, 6) in mm and degrees."""
+def accuracy(labels: Array, euler_error: Array, predictions: Predictions, units: Sequence[str]) -> Accuracy:
+    """Errors of the means against labels (N, K) in these units; Euler errors (N, 6) in mm and degrees."""
     error = predictions.mean - labels
+    weights = np.array([MSE_WEIGHTS[unit] for unit in units])
     return Accuracy(
-        mse=float((error**2 @ MSE_WEIGHTS).mean()),
+        mse=float((error**2 @ weights).mean()),
         mae=np.abs(error).mean(axis=0),
         rmse=np.sqrt((error**2).mean(axis=0)),
         bias=error.mean(axis=0),
-        euler_mae=np.abs(euler_error(euler_mm_deg, predictions)).mean(axis=0),
+        euler_mae=np.abs(euler_error).mean(axis=0),
     )
 
 
-def euler_error(euler_mm_deg: Array, predictions: Predictions) -> Array:
-    """Prediction less label of the Euler surface contact pose, (N, 6) in mm and degrees."""
-    error = euler_of(predictions.mean) - euler_mm_deg
+def euler_error(euler_mm_deg: Array, found: Array) -> Array:
+    """Found less label of the Euler surface contact pose, (N, 6) in mm and degrees."""
+    error = found - euler_mm_deg
     error[:, 3:] = (error[:, 3:] + 180.0) % 360.0 - 180.0
     return error
 
@@ -144,13 +144,13 @@ def consistency(labels: Array, predictions: Predictions) -> Consistency:
     error = predictions.mean - labels
     squared = squared_mahalanobis(error, predictions.cov)
     _, log_det = np.linalg.slogdet(predictions.cov)
-    z = np.abs(error) / predictions.sigma
+    z, size = np.abs(error) / predictions.sigma, error.shape[1]
     return Consistency(
-        nll=float(0.5 * (squared + log_det + len(COMPONENTS) * np.log(2.0 * np.pi)).mean()),
+        nll=float(0.5 * (squared + log_det + size * np.log(2.0 * np.pi)).mean()),
         nees=(z**2).mean(axis=0),
         nees_interval=mean_interval(len(z), 1),
-        joint=float(squared.mean()) / len(COMPONENTS),
-        joint_interval=mean_interval(len(z), len(COMPONENTS)),
+        joint=float(squared.mean()) / size,
+        joint_interval=mean_interval(len(z), size),
         coverage=coverage(z, np.array(LEVELS)),
         curve=coverage(z, CURVE),
         sharpness=predictions.sigma.mean(axis=0),
@@ -158,12 +158,12 @@ def consistency(labels: Array, predictions: Predictions) -> Consistency:
 
 
 def squared_mahalanobis(error: Array, cov: Array) -> Array:
-    """error^T cov^-1 error of each row: (N, 6), (N, 6, 6) -> (N,)."""
+    """error^T cov^-1 error of each row: (N, K), (N, K, K) -> (N,)."""
     return np.einsum("ni,ni->n", error, np.linalg.solve(cov, error[:, :, None])[:, :, 0])
 
 
 def coverage(z: Array, levels: Array) -> Array:
-    """Fraction of |errors| in sigmas, (N, 6), within each level's central interval: (len(levels), 6)."""
+    """Fraction of |errors| in sigmas, (N, K), within each level's central interval: (len(levels), K)."""
     return np.stack([(z <= bound).mean(axis=0) for bound in norm.ppf(0.5 + 0.5 * levels)])
 
 
@@ -182,9 +182,9 @@ class Bins:
     ----------
     edges : (B + 1,)
     count : (B,)
-    mae, rmse : (B, 6) in mm and rad; NaN where a bin is empty
-    sigma : (B, 6) root of the mean predicted variance; NaN without uncertainty
-    nees : (B, 6) mean of (error / sigma)^2
+    mae, rmse : (B, K) in mm, rad and N; NaN where a bin is empty
+    sigma : (B, K) root of the mean predicted variance; NaN without uncertainty
+    nees : (B, K) mean of (error / sigma)^2
     """
 
     edges: Array
@@ -202,7 +202,7 @@ def binned(labels: Array, predictions: Predictions, by: Array, edges: Array) -> 
     number = np.clip(np.searchsorted(edges, by, side="right") - 1, -1, len(edges) - 1)
     number[by == edges[-1]] = len(edges) - 2
     columns = (np.abs(error), error**2, sigma**2, (error / sigma) ** 2)
-    means = np.full((4, len(edges) - 1, len(COMPONENTS)), np.nan)
+    means = np.full((4, len(edges) - 1, error.shape[1]), np.nan)
     count = np.bincount(number[(number >= 0) & (number < len(edges) - 1)], minlength=len(edges) - 1)
     for index in np.flatnonzero(count):
         means[:, index] = [column[number == index].mean(axis=0) for column in columns]
@@ -213,7 +213,7 @@ def binned(labels: Array, predictions: Predictions, by: Array, edges: Array) -> 
 def by_predicted_sigma(labels: Array, predictions: Predictions, bins: int = 10) -> list[Bins]:
     """For each component, its errors in bins of as many samples each of its predicted sigma."""
     found = []
-    for component in range(len(COMPONENTS)):
+    for component in range(labels.shape[1]):
         sigma = predictions.sigma[:, component]
         edges = np.unique(np.quantile(sigma, np.linspace(0.0, 1.0, bins + 1)))
         if len(edges) == 1:  # a network that always states the same

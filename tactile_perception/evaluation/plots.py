@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_TITLES, NETWORK_UNITS
 from tactile_perception.estimating.plots import (
     DPI,
     Row,
@@ -33,9 +32,10 @@ def draw_all(out: Path, data: EvaluationData, results: Sequence[ModelResult]) ->
     for result in shown:
         predictions = result.best.predictions
         sigma = None if predictions.cov is None else predictions.sigma
-        rows.append((result.name, data.labels, predictions.mean, sigma))
+        rows.append((result.name, data.targets, predictions.mean, sigma))
     paths = [out / f"{name}.png" for name in ("predicted_against_actual", "error_by_depth_and_shear", "slip")]
-    draw_predicted_against_actual(paths[0], rows, f"{data.folder.name}, {len(data)} images")
+    titles = results[0].names, results[0].units
+    draw_predicted_against_actual(paths[0], rows, f"{data.folder.name}, {len(data)} images", *titles)
     draw_by_depth_and_shear(paths[1], shown)
     draw_slip(paths[2], data, shown)
     uncertain = [result for result in shown if result.raw.consistency is not None]
@@ -75,20 +75,20 @@ def _save(figure: Figure, grid: Any, path: Path, ylabel: str) -> None:
 
 def draw_reliability(path: Path, results: Sequence[ModelResult]) -> None:
     """Coverage against the nominal level of central intervals, before and after calibration."""
-    figure, grid = plot_grid(1, 6, 4.3)
+    figure, grid = plot_grid(1, len(results[0].names), 4.3)
     for component, axes in enumerate(grid[0]):
         axes.plot([0.0, 1.0], [0.0, 1.0], color="black", linewidth=0.8)
         for assessment, style, look in _states(results):
             assert assessment.consistency is not None
             axes.plot(CURVE, assessment.consistency.curve[:, component], style, **look)
-        axes.set(xlabel="nominal", title=COMPONENTS[component], aspect="equal")
+        axes.set(xlabel="nominal", title=results[0].names[component], aspect="equal")
         axes.grid(alpha=0.3)
     _save(figure, grid, path, "fraction of labels inside")
 
 
 def draw_error_by_sigma(path: Path, results: Sequence[ModelResult]) -> None:
     """Root mean square error against predicted sigma in ten bins of as many samples each."""
-    figure, grid = plot_grid(1, 6, 4.3)
+    figure, grid = plot_grid(1, len(results[0].names), 4.3)
     for component, axes in enumerate(grid[0]):
         reach = []
         for assessment, style, look in _states(results):
@@ -99,7 +99,8 @@ def draw_error_by_sigma(path: Path, results: Sequence[ModelResult]) -> None:
             reach += [*sigma[np.isfinite(sigma)], *rmse[np.isfinite(rmse)]]
         limits = [min(reach), max(reach)]
         axes.plot(limits, limits, color="black", linewidth=0.8)
-        axes.set(xlabel=f"predicted sigma ({NETWORK_UNITS[component]})", title=COMPONENTS[component])
+        first = results[0]
+        axes.set(xlabel=f"predicted sigma ({first.units[component]})", title=first.names[component])
         log_axis(axes, "x")
         log_axis(axes, "y")
         axes.grid(alpha=0.3)
@@ -108,7 +109,7 @@ def draw_error_by_sigma(path: Path, results: Sequence[ModelResult]) -> None:
 
 def draw_by_depth_and_shear(path: Path, results: Sequence[ModelResult]) -> None:
     """Mean absolute error by depth and by tangential displacement, with the mean predicted sigma dashed."""
-    figure, grid = plot_grid(2, 6, 3.0)
+    figure, grid = plot_grid(2, len(results[0].names), 3.0)
     for axes_row, which in zip(grid, ("by_depth", "by_shear"), strict=True):
         for component, axes in enumerate(axes_row):
             for color, result in enumerate(results):
@@ -119,7 +120,7 @@ def draw_by_depth_and_shear(path: Path, results: Sequence[ModelResult]) -> None:
                     # A Gaussian's mean absolute error is 0.798 of its sigma.
                     expected = np.sqrt(2.0 / np.pi) * bins.sigma[:, component]
                     axes.plot(middle, expected, "--", color=f"C{color}", label=f"{result.name}, predicted")
-            axes.set(xlabel=f"{which[3:]} (mm)", title=NETWORK_TITLES[component])
+            axes.set(xlabel=f"{which[3:]} (mm)", title=results[0].titles[component])
             axes.set_ylim(bottom=0.0)
             axes.grid(alpha=0.3)
     _save(figure, grid, path, "mean absolute error")
@@ -131,15 +132,15 @@ def draw_slip(path: Path, data: EvaluationData, results: Sequence[ModelResult]) 
     # from zero to the largest there is, and a micrometer where there is none
     edges = (np.linspace(0.0, max(depth.max(), 1e-3), 9), np.linspace(0.0, max(shear.max(), 1e-3), 9))
     count = np.histogram2d(depth, shear, edges)[0]
-    figure, grid = plot_grid(len(results), 6, 3.2)
+    figure, grid = plot_grid(len(results), len(results[0].names), 3.2)
     for axes_row, result in zip(grid, results, strict=True):
-        error = np.abs(result.raw.predictions.mean - data.labels)
+        error = np.abs(result.raw.predictions.mean - data.targets)
         for component, axes in enumerate(axes_row):
             total = np.histogram2d(depth, shear, edges, weights=error[:, component])[0]
             mean = np.where(count >= _FEWEST, total / np.maximum(count, 1.0), np.nan)
             picture = axes.pcolormesh(edges[1], edges[0], mean, cmap="viridis", vmin=0.0)
             figure.colorbar(picture, ax=axes, pad=0.01)
-            axes.set_title(NETWORK_TITLES[component])
+            axes.set_title(results[0].titles[component])
             axes.set(xlabel="shear (mm)", ylabel="depth (mm)" if component else f"{result.name}\ndepth (mm)")
     figure.suptitle("mean absolute error")
     figure.savefig(path, dpi=DPI)

@@ -19,10 +19,8 @@ from tactile_base.console import number_table
 from tactile_base.whole_file import write_csv
 from tactile_base.yaml_file import read_yaml
 from tactile_perception.estimating.labels import (
-    COMPONENTS,
     EULER_COMPONENTS,
     EULER_TITLES,
-    NETWORK_COLUMNS,
     NETWORK_TITLES,
 )
 from tactile_perception.evaluation.evaluate import Assessment, EvaluationData, ModelResult
@@ -80,11 +78,14 @@ def accuracy_table(results: Sequence[ModelResult], reference: ReferenceTables | 
     row("mean NLL", lambda result: result.raw.consistency.nll if result.raw.consistency else None, nll)
     row("weighted MSE", lambda result: result.accuracy.mse, mse)
     table.add_section()
-    for index, name in enumerate(NETWORK_TITLES):
-        others = [f"{mae[index]:.4f}" for _, mae in networks.values()]
+    for index, name in enumerate(results[0].titles):
+        at = NETWORK_TITLES.index(name) if name in NETWORK_TITLES else None
+        others = ["" if at is None else f"{mae[at]:.4f}" for _, mae in networks.values()]
         row(name, lambda result, index=index: result.accuracy.mae[index], others)  # type: ignore[misc]
     table.add_section()
     for index, name in enumerate(EULER_TITLES):
+        if np.isnan(results[0].accuracy.euler_mae[index]):
+            continue
         row(name, lambda result, index=index: result.accuracy.euler_mae[index])  # type: ignore[misc]
     return table
 
@@ -102,8 +103,8 @@ def calibration_table(members: Sequence[ModelResult], name: str) -> Table | None
     low, high = interval.joint_interval
     table = number_table(
         f"{name}: NEES (more than 1: overconfident) and coverage in %\n"
-        f"a right joint NEES / 6 of {count} samples lies in [{low:.3f}, {high:.3f}] with 95 %",
-        ["", *COMPONENTS, "joint", "mean NLL"],
+        f"a right joint NEES / {len(members[0].names)} of {count} samples lies in [{low:.3f}, {high:.3f}] with 95 %",
+        ["", *members[0].names, "joint", "mean NLL"],
     )
     for state, choose in states:
         found = [choose(member).consistency for member in members]
@@ -125,7 +126,7 @@ def bins_table(members: Sequence[ModelResult], name: str, which: str) -> Table:
     table = number_table(f"{name}: mean absolute error {which.replace('_', ' ')} (mm)", ["", *heads])
     table.add_row("samples", *(str(count[index]) for index in chosen))
     mae = np.mean([b.mae for b in bins], axis=0)
-    for component, label in enumerate(NETWORK_TITLES):
+    for component, label in enumerate(members[0].titles):
         table.add_row(label, *(f"{mae[index, component]:.4f}" for index in chosen))
     return table
 
@@ -135,7 +136,7 @@ def about(data: EvaluationData) -> dict[str, Any]:
     return {
         "data": {"folder": str(data.folder), "samples": len(data), "sha256": data.sha256},
         "notes": data.notes,
-        "components": list(NETWORK_TITLES),
+        "components": [data.model.titles[k] for k in data.compared],
     }
 
 
@@ -223,9 +224,11 @@ def _rows(result: ModelResult) -> Iterator[tuple[str, str, str, str]]:
     accuracy = result.accuracy
     yield "", "weighted MSE", "", f"{accuracy.mse:.6g}"
     for quantity, values in (("MAE", accuracy.mae), ("RMSE", accuracy.rmse), ("bias", accuracy.bias)):
-        for component, value in zip(COMPONENTS, values, strict=True):
+        for component, value in zip(result.names, values, strict=True):
             yield "", quantity, component, f"{value:.6g}"
     for component, value in zip(EULER_COMPONENTS, accuracy.euler_mae, strict=True):
+        if np.isnan(value):
+            continue
         yield "", "MAE", component, f"{value:.6g}"
     for state in ("raw", "calibrated"):
         assessment = getattr(result, state)
@@ -233,21 +236,21 @@ def _rows(result: ModelResult) -> Iterator[tuple[str, str, str, str]]:
         if consistency is None:
             continue
         yield state, "mean NLL", "", f"{consistency.nll:.6g}"
-        yield state, "joint NEES / 6", "", f"{consistency.joint:.6g}"
-        for component, value in zip(COMPONENTS, consistency.nees, strict=True):
+        yield state, f"joint NEES / {len(result.names)}", "", f"{consistency.joint:.6g}"
+        for component, value in zip(result.names, consistency.nees, strict=True):
             yield state, "NEES", component, f"{value:.6g}"
         for level, row in zip(LEVELS, consistency.coverage, strict=True):
-            for component, value in zip(COMPONENTS, row, strict=True):
+            for component, value in zip(result.names, row, strict=True):
                 yield state, f"coverage at {level:.0%}", component, f"{value:.6g}"
 
 
 def _write_predictions(path: Path, data: EvaluationData, result: ModelResult) -> None:
-    header = [f"{kind}_{column}" for kind in ("label", "predicted") for column in NETWORK_COLUMNS]
-    columns = [data.labels, result.raw.predictions.mean]
+    header = [f"{kind}_{column}" for kind in ("label", "predicted") for column in result.columns]
+    columns = [data.targets, result.raw.predictions.mean]
     for state in ("raw", "calibrated"):
         assessment = getattr(result, state)
         if assessment is not None and assessment.consistency is not None:
-            header += [f"{state}_sigma_{column}" for column in NETWORK_COLUMNS]
+            header += [f"{state}_sigma_{column}" for column in result.columns]
             columns.append(assessment.predictions.sigma)
     lines = zip(data.names, np.hstack(columns).tolist(), strict=True)
     write_csv(path, ["image", *header], ([name, *(f"{value:.6g}" for value in row)] for name, row in lines))

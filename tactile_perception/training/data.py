@@ -18,6 +18,7 @@ from tactile_base.input_file import parse_json, read_text
 from tactile_base.settings import SettingError
 from tactile_perception.datasets.dataset import DatasetError, TactileDataset, read_dataset, training_part
 from tactile_perception.datasets.layout import parts_of
+from tactile_perception.estimating.contact_model import CONTACT_MODELS, SURFACE, ContactModel
 from tactile_perception.estimating.image import Image
 from tactile_perception.estimating.model_metadata import split_holdback
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
@@ -27,6 +28,8 @@ from tactile_perception.training.config import TrainConfig
 from tactile_perception.training.run_folder import BEST_NAME, CONFIG_NAME, FACTS_NAME, RunFolder
 from tactile_perception.training.settings import NetworkSettings
 
+#: Of the facts: what the network tells, where that is not a surface with all labels.
+_MODEL = "contact_model"
 #: One sample has no deviation to start from.
 _FEWEST_SAMPLES = 2
 #: Settings in which networks of a run and its start may differ; all others decide which weights there are.
@@ -43,7 +46,7 @@ _FREE = {
 
 @dataclass(frozen=True)
 class Samples:
-    """Images uint8 (N, size, size) and labels float64 (N, 6) in mm and rad."""
+    """Images uint8 (N, size, size) and labels float64 (N, K) in mm, rad and N; NaN: not labelled."""
 
     images: Image
     labels: NDArray[np.float64]
@@ -66,6 +69,7 @@ class RunData:
     preprocessing : how images become inputs of the network
     facts : number of samples and hashes, for the model's metadata
     report : lines on what was found in the folders
+    model : what the network is to tell, and what of it the training data label
     start : the network to start from; None: random weights
     """
 
@@ -76,6 +80,7 @@ class RunData:
     preprocessing: PreprocessingSettings
     facts: dict[str, Any]
     report: list[str]
+    model: ContactModel = SURFACE
     start: Start | None = None
 
 
@@ -90,11 +95,12 @@ def load_data(
     train_dir, validation_dir = data_folders(data_dir, validation_dir)
     network, run = config.network, config.training.start
     start = load_start(run, network) if run else None  # before the images: it may be refused
+    CONTACT_MODELS.load(config.training.model)
     changes = {"size": network.image_size, "redraw_radius": network.redraw_radius}
     scale = SCALE if config.augmentation.active else 1
     large = {**changes, "size": scale * network.image_size}
-    training = read_dataset(train_dir, changes=large, limit=limit, progress=progress)
-    validation = read_dataset(validation_dir, changes=changes, progress=progress)
+    training = read_dataset(train_dir, changes=large, limit=limit, progress=progress, complete=False)
+    validation = read_dataset(validation_dir, changes=changes, progress=progress, complete=False)
     preprocessing = training.preprocessing.replaced(**changes)
     if preprocessing != validation.preprocessing:
         raise DatasetError(
@@ -104,6 +110,8 @@ def load_data(
     data = arrange(training, validation, config, preprocessing)
     if start is None:
         return data
+    if start.facts.get(_MODEL) != data.facts.get(_MODEL):
+        start = start.without_head()
     # what the start has learned from, the new network will have seen as well
     return dataclasses.replace(data, start=start, facts={**data.facts, "start": start.facts})
 
@@ -115,9 +123,12 @@ def arrange(
     preprocessing: PreprocessingSettings,
 ) -> RunData:
     """Hold samples back and reduce images to the network's size where that is still to be done."""
+    named = CONTACT_MODELS.load(config.training.model)
+    model = named.narrowed(training.labelled, training.report.folder)
+    named.narrowed(validation.labelled, validation.report.folder)
     kept, held_out = split_holdback(len(training), config.training.holdback)
     large = training.images[kept] if config.augmentation.active else None
-    samples = Samples(_reduced(training.images, preprocessing.size), training.labels)
+    samples = Samples(_reduced(training.images, preprocessing.size), training.labels_for(model))
     facts = {
         "samples": len(kept),
         "held_out": len(held_out),
@@ -125,19 +136,35 @@ def arrange(
         "validation_samples": len(validation),
         "validation_sha256": validation.sha256,
     }
+    report = training.report.lines() + validation.report.lines()
+    if model != SURFACE:
+        facts[_MODEL] = model.plain()
+    if model.unknown:
+        report.append(f"  {model.says_unknown()}")
     return RunData(
         training=samples.taken(kept),
         held_out=samples.taken(held_out),
-        validation=Samples(validation.images, validation.labels),
+        validation=Samples(validation.images, validation.labels_for(model)),
         large=large,
         preprocessing=preprocessing,
         facts=facts,
-        report=training.report.lines() + validation.report.lines(),
+        report=report,
+        model=model,
     )
 
 
 def check_samples(data: RunData, config: TrainConfig) -> None:
-    """`DatasetError` or `CalibrationError` for too few samples to train on, or to calibrate on in the end."""
+    """`DatasetError` or `CalibrationError` for too few samples to train on, or to calibrate on in the end.
+
+    `SettingError` for an augmentation that would have to know more than is labelled.
+    """
+    model = data.model
+    if config.augmentation.symmetry > 1 and not (model.tangent and set(model.forces) <= set(model.labelled)):
+        why = f"{', '.join(model.unknown)} not labelled" if model.unknown else f"this is '{model.name}'"
+        raise SettingError(
+            f"augmentation.symmetry = {config.augmentation.symmetry}: turning a contact on a surface needs all "
+            f"components of its label ({why}); give --set augmentation.symmetry=1"
+        )
     if len(data.training) < _FEWEST_SAMPLES:
         raise DatasetError(f"training data: {len(data.training)} samples, needs at least {_FEWEST_SAMPLES}")
     held_out, needed = len(data.held_out), config.calibration.min_samples
@@ -175,6 +202,11 @@ class Start:
     weights: dict[str, Tensor]
     facts: dict[str, Any]
 
+    def without_head(self) -> Start:
+        """For a network that tells something else."""
+        weights = {name: value for name, value in self.weights.items() if not name.startswith("head.")}
+        return dataclasses.replace(self, weights=weights)
+
     def give(self, network: nn.Module) -> None:
         """Put the weights into a network; what they lack stays as it is."""
         network.load_state_dict({**network.state_dict(), **self.weights})
@@ -199,7 +231,5 @@ def load_start(run: Path | str, network: NetworkSettings) -> Start:
     facts = parse_json(read_text(folder.file(FACTS_NAME)))
     facts["holdback"] = config.training.holdback
     facts["weights_sha256"] = hashlib.sha256(folder.file(BEST_NAME).read_bytes()).hexdigest()
-    weights = folder.load_best()
-    if config.network.head != network.head:
-        weights = {name: value for name, value in weights.items() if not name.startswith("head.")}
-    return Start(weights, facts)
+    start = Start(folder.load_best(), facts)
+    return start if config.network.head == network.head else start.without_head()

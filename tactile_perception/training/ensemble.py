@@ -55,6 +55,15 @@ def write_ensemble(runs: Sequence[Path | str], path: Path | str, data: Path | st
 def _joined_metadata(files: Sequence[Path], members: Sequence[ModelMetadata]) -> ModelMetadata:
     first = members[0]
     for file, member in zip(files, members, strict=True):
+        if member.contact_model != first.contact_model:
+            raise EnsembleError(
+                f"{file}: tells {_told(member)}, and {files[0]} {_told(first)}: an ensemble needs the same"
+            )
+        if first.contact_model.turning:
+            raise EnsembleError(
+                f"{file}: '{first.contact_model.name}' has an angle that goes all round, of which several "
+                "networks have no mean"
+            )
         if member.preprocessing != first.preprocessing:
             difference = member.preprocessing.differences(first.preprocessing)
             raise EnsembleError(f"{file}: prepares images otherwise than {files[0]}: {difference}")
@@ -67,14 +76,20 @@ def _joined_metadata(files: Sequence[Path], members: Sequence[ModelMetadata]) ->
         layout=first.layout,
         plain_depth=first.plain_depth,
         novelty=first.novelty,
+        contact_model=first.contact_model,
     )
+
+
+def _told(metadata: ModelMetadata) -> str:
+    model = metadata.contact_model
+    return f"'{model.name}' with labels of {', '.join(model.labelled)}"
 
 
 def _write(files: Sequence[Path], path: Path, metadata: ModelMetadata) -> None:
     graph = GraphWriter()
-    means, covariances = [], []
+    means, covariances, size = [], [], metadata.contact_model.size
     for index, file in enumerate(files):
-        mean, covariance = _add_member(graph, onnx.load(str(file)), f"member{index}")
+        mean, covariance = _add_member(graph, onnx.load(str(file)), f"member{index}", size)
         means.append(mean)
         covariances.append(covariance)
     count = graph.constant("members", float(len(files)))
@@ -82,16 +97,16 @@ def _write(files: Sequence[Path], path: Path, metadata: ModelMetadata) -> None:
     spreads = []
     for index, mean in enumerate(means):
         difference = graph.node("Sub", [mean, MEAN], f"difference{index}")
-        spreads.append(graph.outer(difference, difference, f"spread{index}"))
+        spreads.append(graph.outer(difference, difference, f"spread{index}", size))
     total = graph.node("Sum", covariances + spreads, "covariances.sum")
     graph.node("Div", [total, count], COVARIANCE)
-    model = graph.model(metadata.preprocessing.size, (MEAN, COVARIANCE))
+    model = graph.model(metadata.preprocessing.size, (MEAN, COVARIANCE), size)
     onnx.checker.check_model(model)
     save_model(model, path, metadata)
 
 
-def _add_member(graph: GraphWriter, model: onnx.ModelProto, prefix: str) -> tuple[str, str]:
-    """Add a model's nodes under new names; names of its mean and of its covariance (N, 6, 6)."""
+def _add_member(graph: GraphWriter, model: onnx.ModelProto, prefix: str, size: int) -> tuple[str, str]:
+    """Add a model's nodes under new names; names of its mean and of its covariance (N, K, K)."""
 
     def renamed(name: str) -> str:
         return name if name in ("", INPUT_NAME) else f"{prefix}.{name}"
@@ -109,7 +124,7 @@ def _add_member(graph: GraphWriter, model: onnx.ModelProto, prefix: str) -> tupl
         return mean, covariance
     squared = graph.node("Mul", [inverse, inverse], f"{prefix}.precision")
     variance = graph.node("Reciprocal", [squared], f"{prefix}.variance")
-    return mean, graph.diagonal(variance, f"{prefix}.diagonal")
+    return mean, graph.diagonal(variance, f"{prefix}.diagonal", size)
 
 
 def _check_holdback(files: Sequence[Path], members: Sequence[ModelMetadata]) -> None:
@@ -128,7 +143,7 @@ def _calibrated(
     path: Path, metadata: ModelMetadata, data: Path, settings: CalibrationSettings
 ) -> ModelMetadata:
     train_dir = training_part(data)
-    samples = read_dataset(train_dir, metadata.preprocessing)
+    samples = read_dataset(train_dir, metadata.preprocessing, complete=False)
     if samples.sha256 != metadata.training_data.get("sha256"):
         raise EnsembleError(f"{train_dir}: is not what the networks were trained on")
     rows = unseen_rows(metadata, samples.sha256, len(samples))

@@ -17,13 +17,12 @@ from tactile_perception.estimating.model_metadata import (
     INPUT_NAME,
     INVERSE_SIGMA,
     MEAN,
-    OUTPUT_SHAPES,
     ModelMetadata,
+    output_shapes,
     summed,
 )
-from tactile_perception.training.heads import COMPONENTS_OF_MIXTURE, LOWER, OUTPUTS
+from tactile_perception.training.heads import COMPONENTS_OF_MIXTURE, FullGaussianHead, Head
 from tactile_perception.training.network import ConvBlock, PoseNetwork
-from tactile_perception.training.settings import NetworkSettings
 
 OPSET = 17
 IR_VERSION = 8
@@ -35,13 +34,14 @@ def export_onnx(
     """Write `network` as it answers in evaluation mode.
 
     The graph is written node by node rather than traced: it stays the same for every PyTorch version, and
-    its names are readable. Input `image` float32 (N, 1, size, size) in [0, 1]; outputs float32, in mm and
-    rad: `mu` (N, 6), and `inverse_sigma` (N, 6) or `covariance` (N, 6, 6).
+    its names are readable. Input `image` float32 (N, 1, size, size) in [0, 1]; outputs float32, in mm, rad
+    and N: `mu` (N, K), and `inverse_sigma` (N, K) or `covariance` (N, K, K). What no label has fixed is
+    answered with its prior.
 
     Parameters
     ----------
-    sigma : (6,), needed by a network without uncertainty of its own (head mse)
-        The standard deviations in mm and rad that its file then states for every image.
+    sigma : (K,), needed by a network without uncertainty of its own (head mse)
+        The standard deviations in mm, rad and N that its file then states for every image.
     """
     settings = network.settings
     graph = GraphWriter()
@@ -55,8 +55,8 @@ def export_onnx(
     weight = graph.constant("head.weight", (head.gain * head.weight.detach()).numpy())
     bias = graph.constant("head.bias", head.bias.detach().numpy())
     last = graph.node("Gemm", [last, weight, bias], "head", transB=1)
-    second = write_head(graph, last, settings, sigma)
-    model = graph.model(settings.image_size, (MEAN, second))
+    second = write_head(graph, last, network.distribution, sigma)
+    model = graph.model(settings.image_size, (MEAN, second), network.distribution.model.size)
     onnx.checker.check_model(model)
     return save_model(model, path, metadata)
 
@@ -152,22 +152,41 @@ class GraphWriter:
         total = self.node("Add", [clamped, smooth], f"{output}.total")
         return self.node("Clip", [total, low, high], output)
 
-    def outer(self, left: str, right: str, output: str) -> str:
-        """(N, 6) and (N, 6) -> (N, 6, 6)."""
-        column = self.reshape(left, (-1, OUTPUTS, 1), f"{output}.column")
-        row = self.reshape(right, (-1, 1, OUTPUTS), f"{output}.row")
+    def outer(self, left: str, right: str, output: str, size: int) -> str:
+        """(N, K) and (N, K) -> (N, K, K)."""
+        column = self.reshape(left, (-1, size, 1), f"{output}.column")
+        row = self.reshape(right, (-1, 1, size), f"{output}.row")
         return self.node("Mul", [column, row], output)
 
-    def diagonal(self, source: str, output: str) -> str:
-        """(N, 6) -> (N, 6, 6) with these on the diagonal."""
-        row = self.reshape(source, (-1, 1, OUTPUTS), f"{output}.row")
-        return self.node("Mul", [row, self.constant("identity", np.eye(OUTPUTS))], output)
+    def diagonal(self, source: str, output: str, size: int) -> str:
+        """(N, K) -> (N, K, K) with these on the diagonal."""
+        row = self.reshape(source, (-1, 1, size), f"{output}.row")
+        return self.node("Mul", [row, self.constant("identity", np.eye(size))], output)
 
-    def model(self, image_size: int, outputs: tuple[str, ...]) -> onnx.ModelProto:
-        """The whole model, with a free batch size."""
+    def chosen(self, source: str, kept: NDArray, others: NDArray, output: str) -> str:
+        """`source` where `kept` is 1, `others` where it is 0."""
+        masked = self.node("Mul", [source, self.constant(f"{output}.kept", kept)], f"{output}.masked")
+        return self.node("Add", [masked, self.constant(f"{output}.prior", others)], output)
+
+    def angle(self, sine: str, cosine: str, output: str) -> str:
+        """atan2, which ONNX lacks: 2 atan of (r - c) / s or s / (r + c), whichever has no difference."""
+        squares = [self.node("Mul", [part, part], f"{part}.squared") for part in (sine, cosine)]
+        radius = self.node("Sqrt", [self.node("Add", squares, f"{output}.squared")], f"{output}.radius")
+        length = self.node("Abs", [cosine], f"{output}.length")
+        long = self.node("Add", [radius, length], f"{output}.long")
+        front = self.node("Div", [sine, long], f"{output}.front")
+        back = self.node("Div", [long, sine], f"{output}.back")
+        ahead = self.node("Less", [self.constant("zero", 0.0), cosine], f"{output}.ahead")
+        half = self.node("Where", [ahead, front, back], f"{output}.half.tangent")
+        return self.node(
+            "Mul", [self.node("Atan", [half], f"{output}.half"), self.constant("two", 2.0)], output
+        )
+
+    def model(self, image_size: int, outputs: tuple[str, ...], size: int) -> onnx.ModelProto:
+        """The whole model, with a free batch size, for so many quantities."""
         image = helper.make_tensor_value_info(INPUT_NAME, TensorProto.FLOAT, ["N", 1, image_size, image_size])
         values = [
-            helper.make_tensor_value_info(name, TensorProto.FLOAT, ["N", *OUTPUT_SHAPES[name]])
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, ["N", *output_shapes(size)[name]])
             for name in outputs
         ]
         graph = helper.make_graph(self.nodes, "pose", [image], values, self.constants)
@@ -179,50 +198,79 @@ class GraphWriter:
         )
 
 
-def write_head(
-    graph: GraphWriter, raw: str, settings: NetworkSettings, sigma: NDArray[np.float64] | None
-) -> str:
+def write_head(graph: GraphWriter, raw: str, head: Head, sigma: NDArray[np.float64] | None) -> str:
     """From a head's raw outputs to `mu` and its uncertainty; returns the name of the latter's output."""
-    if settings.head == "mse":
+    kind, model = head.settings.head, head.model
+    second = INVERSE_SIGMA if kind in ("mse", "gaussian") else COVARIANCE
+    own = (f"{MEAN}.own", f"{second}.own") if model.unknown else (MEAN, second)
+    if kind == "mse":
         if sigma is None:
             raise ValueError("a network with the head mse needs the standard deviations of its errors")
-        graph.node("Identity", [raw], MEAN)
-        nothing = graph.node("Mul", [raw, graph.constant("zero", 0.0)], "nothing")
-        constant = graph.constant("inverse_sigma.value", 1.0 / sigma)
-        return graph.node("Add", [nothing, constant], INVERSE_SIGMA)
-    if settings.head == "gaussian":
-        graph.split(raw, [OUTPUTS, OUTPUTS], [MEAN, "unbounded"])
-        return graph.softbound("unbounded", INVERSE_SIGMA, settings.inverse_sigma_bounds)
-    write = _write_full if settings.head == "full_gaussian" else _write_mixture
-    return write(graph, raw, settings.inverse_sigma_bounds)
+        _write_mean(graph, raw, head, own[0])
+        nothing = graph.node("Mul", [own[0], graph.constant("zero", 0.0)], "nothing")
+        graph.node("Add", [nothing, graph.constant("inverse_sigma.value", 1.0 / sigma)], own[1])
+    elif kind == "gaussian":
+        graph.split(raw, [head.means, model.size], ["mean.raw", "unbounded"])
+        _write_mean(graph, "mean.raw", head, own[0])
+        graph.softbound("unbounded", own[1], head.settings.inverse_sigma_bounds)
+    elif isinstance(head, FullGaussianHead):
+        _write_full(graph, raw, head, *own)
+    else:
+        _write_mixture(graph, raw, head, *own)
+    if model.unknown:
+        mean, deviation = model.prior
+        known = model.known.astype(float)
+        graph.chosen(own[0], known, (1.0 - known) * mean, MEAN)
+        if second == COVARIANCE:
+            known, others = np.outer(known, known), np.diag((1.0 - known) * deviation**2)
+        else:
+            others = (1.0 - known) / deviation
+        graph.chosen(own[1], known, others, second)
+    return second
 
 
-def _write_full(graph: GraphWriter, raw: str, bounds: tuple[float, ...]) -> str:
-    """Covariance D (I + L)^-1 (I + L)^-T D; the inverse is (I - L) (I + L^2) (I + L^4) since L^6 = 0."""
-    graph.split(raw, [OUTPUTS, OUTPUTS, len(LOWER)], [MEAN, "unbounded", "lower.values"])
-    inverse_sigma = graph.softbound("unbounded", "conditional", bounds)
-    places = np.zeros((len(LOWER), OUTPUTS * OUTPUTS))
-    for index, (row, column) in enumerate(LOWER):
-        places[index, row * OUTPUTS + column] = 1.0
+def _write_mean(graph: GraphWriter, raw: str, head: Head, output: str) -> None:
+    """Means (N, K) of what tells them (N, means): all as it is but for angles that go all round."""
+    turning = head.model.turning
+    if not turning:
+        graph.node("Identity", [raw], output)
+        return
+    parts = [f"{output}.{k}" for k in range(head.means)]
+    graph.split(raw, [1] * head.means, parts)
+    for place, k in enumerate(turning):
+        parts[k] = graph.angle(parts[k], parts[head.model.size + place], f"{output}.angle{k}")
+    graph.node("Concat", parts[: head.model.size], output, axis=1)
+
+
+def _write_full(graph: GraphWriter, raw: str, head: FullGaussianHead, mean: str, covariance: str) -> None:
+    """Covariance D (I + L)^-1 (I + L)^-T D; the inverse is (I - L) (I + L^2) (I + L^4) .. since L^K = 0."""
+    size = head.model.size
+    graph.split(raw, [head.means, size, len(head.lower)], ["mean.raw", "unbounded", "lower.values"])
+    _write_mean(graph, "mean.raw", head, mean)
+    inverse_sigma = graph.softbound("unbounded", "conditional", head.settings.inverse_sigma_bounds)
+    places = np.zeros((len(head.lower), size * size))
+    for index, (row, column) in enumerate(head.lower):
+        places[index, row * size + column] = head.model.known[row] and head.model.known[column]
     flat = graph.node("MatMul", ["lower.values", graph.constant("lower.places", places)], "lower.flat")
-    lower = graph.reshape(flat, (-1, OUTPUTS, OUTPUTS), "lower")
-    identity = graph.constant("identity", np.eye(OUTPUTS))
-    second = graph.node("MatMul", [lower, lower], "lower.2")
-    fourth = graph.node("MatMul", [second, second], "lower.4")
-    first = graph.node("Sub", [identity, lower], "inverse.1")
-    for even, name in ((second, "inverse.2"), (fourth, "inverse.4")):
-        factor = graph.node("Add", [identity, even], f"{name}.factor")
-        first = graph.node("MatMul", [first, factor], name)
-    scale = graph.reshape(inverse_sigma, (-1, OUTPUTS, 1), "conditional.column")
+    power = graph.reshape(flat, (-1, size, size), "lower")
+    identity = graph.constant("identity", np.eye(size))
+    first, exponent = graph.node("Sub", [identity, power], "inverse.1"), 2
+    while exponent < size:
+        power = graph.node("MatMul", [power, power], f"lower.{exponent}")
+        factor = graph.node("Add", [identity, power], f"inverse.{exponent}.factor")
+        first = graph.node("MatMul", [first, factor], f"inverse.{exponent}")
+        exponent *= 2
+    scale = graph.reshape(inverse_sigma, (-1, size, 1), "conditional.column")
     root = graph.node("Div", [first, scale], "root")
     transposed = graph.node("Transpose", [root], "root.transposed", perm=[0, 2, 1])
-    return graph.node("MatMul", [root, transposed], COVARIANCE)
+    graph.node("MatMul", [root, transposed], covariance)
 
 
-def _write_mixture(graph: GraphWriter, raw: str, bounds: tuple[float, ...]) -> str:
+def _write_mixture(graph: GraphWriter, raw: str, head: Head, mean: str, covariance: str) -> None:
     """Mean and covariance of the two Gaussians' mixture."""
+    size, bounds = head.model.size, head.settings.inverse_sigma_bounds
     names = [f"{part}{k}" for k in range(COMPONENTS_OF_MIXTURE) for part in ("mean", "unbounded")]
-    graph.split(raw, [OUTPUTS] * len(names) + [1], [*names, "logit"])
+    graph.split(raw, [size] * len(names) + [1], [*names, "logit"])
     negative = graph.node("Neg", ["logit"], "logit.negative")
     weights = [graph.node("Sigmoid", [logit], f"weight{k}") for k, logit in enumerate(("logit", negative))]
     means, variances = [], []
@@ -231,10 +279,10 @@ def _write_mixture(graph: GraphWriter, raw: str, bounds: tuple[float, ...]) -> s
         squared = graph.node("Mul", [inverse_sigma, inverse_sigma], f"precision{k}")
         variances.append(graph.node("Div", [weight, squared], f"variance{k}"))
         means.append(graph.node("Mul", [weight, f"mean{k}"], f"weighted_mean{k}"))
-    graph.node("Add", means, MEAN)
-    within = graph.diagonal(graph.node("Add", variances, "variance"), "within")
+    graph.node("Add", means, mean)
+    within = graph.diagonal(graph.node("Add", variances, "variance"), "within", size)
     difference = graph.node("Sub", ["mean0", "mean1"], "difference")
     product = graph.node("Mul", weights, "weights")
     scaled = graph.node("Mul", [difference, product], "scaled_difference")
-    between = graph.outer(scaled, difference, "between")
-    return graph.node("Add", [within, between], COVARIANCE)
+    between = graph.outer(scaled, difference, "between", size)
+    graph.node("Add", [within, between], covariance)

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from tactile_perception.estimating.contact_model import SURFACE, ContactModel
 from tactile_perception.training.heads import Head, make_head
 from tactile_perception.training.settings import NetworkSettings
 
@@ -154,15 +155,15 @@ class MultiDropoutLinear(nn.Module):
 
 
 class PoseNetwork(nn.Module):
-    """Image -> what the head needs to tell mean and covariance of xi_sf (mm, rad).
+    """Image -> what the head needs to tell mean and covariance of a contact model's quantities.
 
     `forward` takes float (N, 1, size, size) in [0, 1] and returns float32 (N, head.outputs).
     """
 
-    def __init__(self, settings: NetworkSettings) -> None:
+    def __init__(self, settings: NetworkSettings, model: ContactModel = SURFACE) -> None:
         super().__init__()
         self.settings = settings
-        self.distribution: Head = make_head(settings)
+        self.distribution: Head = make_head(settings, model)
         momentum = settings.batch_norm_momentum
         blocks = [
             ConvBlock(a, b, momentum, pooled=index < settings.poolings)
@@ -175,9 +176,17 @@ class PoseNetwork(nn.Module):
         self.head = MultiDropoutLinear(features, dropouts, settings.head_gain, shared)
 
     def start_from(self, labels: Tensor) -> None:
-        """Let the untrained network answer with the labels' own mean and deviation; labels (N, 6)."""
+        """Let the untrained network answer with the labels' own mean and deviation; labels (N, K).
+
+        Of what is not labelled (NaN) it answers with the prior.
+        """
+        mean, sigma = labels.mean(dim=0), labels.std(dim=0)
+        for k in torch.nonzero(~torch.isfinite(sigma))[:, 0].tolist():
+            known = labels[:, k][torch.isfinite(labels[:, k])]
+            prior = [float(values[k]) for values in self.distribution.model.prior]
+            mean[k], sigma[k] = (known.mean(), known.std()) if len(known) > 1 else prior
         with torch.no_grad():
-            self.head.bias.copy_(self.distribution.start(labels.mean(dim=0), labels.std(dim=0)))
+            self.head.bias.copy_(self.distribution.start(mean, sigma))
 
     def forward(self, images: Tensor) -> Tensor:
         features = self.base(images).flatten(1)

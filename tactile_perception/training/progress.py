@@ -8,6 +8,7 @@ from collections import deque
 import numpy as np
 
 from tactile_base.progress import Progress, duration
+from tactile_perception.estimating.contact_model import SURFACE, ContactModel
 from tactile_perception.estimating.labels import errors_in_words
 from tactile_perception.training.run_folder import Epoch
 
@@ -17,6 +18,9 @@ class TrainingProgress:
 
     def loading(self, done: int, total: int) -> None:
         """Images read so far."""
+
+    def learning(self, model: ContactModel) -> None:
+        """What the network is to tell, and what of it is labelled."""
 
     def start(self, epochs: int, steps: int, loss_name: str, epochs_done: int) -> None:
         """Data are in memory; `epochs_done` is not 0 where a run is resumed."""
@@ -36,12 +40,18 @@ class TrainingDisplay(Progress, TrainingProgress):
         self._steps = self._epochs = 0
         self._loss_name = ""
         self._announced = False
+        self._model = SURFACE
+
+    def learning(self, model: ContactModel) -> None:
+        self.finish("loading")
+        self._model = model
+        if model.unknown:
+            self.say(model.says_unknown())
 
     def loading(self, done: int, total: int) -> None:
         self.update("loading", done, total, "images")
 
     def start(self, epochs: int, steps: int, loss_name: str, epochs_done: int) -> None:
-        self.finish("loading")
         self._steps, self._epochs, self._loss_name = steps, epochs, loss_name
         if epochs_done:
             self.say(f"resumed after epoch {epochs_done} of {epochs}")
@@ -56,11 +66,12 @@ class TrainingDisplay(Progress, TrainingProgress):
         self.update("training", done, total, text=text, seconds_left=left)
 
     def epoch(self, epoch: Epoch) -> None:
-        self._announced = True  # by this line
+        self._announced, model = True, self._model  # by this line
+        units = dict(zip(model.names, model.units, strict=True))
         self.say(
             f"epoch {epoch.number + 1:3d}  lr {epoch.learning_rate:.1e}  {self._loss_name} "
             f"train {epoch.train_loss:7.3f} val {epoch.validation_loss:7.3f}  "
-            f"val MAE {errors_in_words(epoch.mae)}  "
+            f"val MAE {errors_in_words(dict(zip(model.names, epoch.mae, strict=True)), units)}  "
             f"{epoch.seconds:.0f} s, {duration(epoch.seconds_left)} left{'  best' if epoch.best else ''}"
         )
 

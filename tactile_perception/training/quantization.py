@@ -69,7 +69,7 @@ def training_images(folder: Path, model: Path, count: int) -> NDArray[np.uint8]:
     Fewer where the folder has fewer or some of these cannot be read.
     """
     preprocessing = Estimator(model).metadata.preprocessing
-    return read_dataset(training_part(folder), preprocessing, limit=count).images
+    return read_dataset(training_part(folder), preprocessing, limit=count, complete=False).images
 
 
 def quantize(

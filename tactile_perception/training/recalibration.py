@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from tactile_perception.datasets.dataset import TactileDataset, read_dataset
 from tactile_perception.estimating.estimator import Estimator
-from tactile_perception.estimating.labels import depths
 from tactile_perception.estimating.model_metadata import is_training_data, unseen_rows
 from tactile_perception.estimating.novelty import Novelty
 from tactile_perception.estimating.plain_depth import PlainDepth
@@ -54,7 +53,7 @@ def recalibrate(
     metadata = estimator.metadata
     if metadata.head == "mse":
         raise CalibrationError(f"{model}: the network has no uncertainty of its own to calibrate")
-    samples = read_dataset(data, metadata.preprocessing)
+    samples = read_dataset(data, metadata.preprocessing, complete=False)
     rows = unseen_rows(metadata, samples.sha256, len(samples))
     if not len(rows):
         raise CalibrationError(
@@ -67,7 +66,9 @@ def recalibrate(
         plain = CalibrationSettings()
         settings = settings.replaced(margin=plain.margin, floor=plain.floor)
     calibration = fit_on(estimator, samples, rows, settings.replaced(**(changes or {})))
-    depth = metadata.plain_depth or PlainDepth.fit(samples.images, depths(samples.labels))
+    model = metadata.contact_model
+    labels = samples.labels_for(model)
+    depth = metadata.plain_depth or PlainDepth.fit(samples.images, model.depths(labels))
     novelty = metadata.novelty or Novelty.fit(samples.images)
     changed = dataclasses.replace(metadata, calibration=calibration, plain_depth=depth, novelty=novelty)
     save_model(onnx.load(str(model)), out, changed)
@@ -79,4 +80,6 @@ def fit_on(
 ) -> Calibration:
     """Fitted to the network's own answers to some rows of a data set."""
     mean, cov = predict_all(estimator, samples.images[rows])
-    return fit_calibration(samples.labels[rows], mean, cov, settings)
+    model = estimator.metadata.contact_model
+    labels = samples.labels_for(model)[rows]
+    return fit_calibration(labels, mean, cov, settings, model.error(mean, labels))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from tactile_base.input_file import check_regular, parse_json, read_text
 from tactile_base.whole_file import check_folder, whole_file, write_csv
 from tactile_base.yaml_file import values_of
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_COLUMNS
+from tactile_perception.estimating.contact_model import ContactModel
 from tactile_perception.training.config import TrainConfig
 
 CONFIG_NAME = "config.yaml"
@@ -34,7 +35,7 @@ _NO_RESULT = {"threads", "max_minutes", "start"}
 
 @dataclass(frozen=True)
 class Epoch:
-    """Result of one epoch; `mae` (6,) in mm and rad on the validation data.
+    """Result of one epoch; `mae` (K,) in mm, rad and N on the validation data, NaN where nothing is labelled.
 
     `seconds_left` is what the rest of the schedule was then expected to take.
     """
@@ -128,9 +129,9 @@ class RunFolder:
     def load_best(self) -> dict[str, torch.Tensor]:
         return _load(self.file(BEST_NAME))
 
-    def write_epochs(self, epochs: list[Epoch], loss_name: str) -> None:
-        """`epochs.csv`: one line an epoch."""
-        loss, mae = loss_name.replace(" ", "_"), [f"mae_{column}" for column in NETWORK_COLUMNS]
+    def write_epochs(self, epochs: list[Epoch], loss_name: str, columns: Sequence[str]) -> None:
+        """`epochs.csv`: one line an epoch, with the errors of these columns."""
+        loss, mae = loss_name.replace(" ", "_"), [f"mae_{column}" for column in columns]
         head = ["epoch", "learning_rate", f"train_{loss}", f"validation_{loss}", *mae]
         rows = []
         for epoch in epochs:
@@ -139,14 +140,18 @@ class RunFolder:
             rows.append([epoch.number + 1, *(f"{value:.6g}" for value in values)])
         write_csv(self.file(EPOCHS_NAME), [*head, "seconds", "seconds_left"], rows)
 
-    def finish(self, result: TrainResult, loss_name: str, validation: dict[str, Any]) -> None:
+    def finish(
+        self, result: TrainResult, loss_name: str, validation: dict[str, Any], model: ContactModel
+    ) -> None:
         """Curves and `result.json`, whose presence says that the run is complete."""
-        draw_curves(self.file(CURVES_NAME), result.epochs, loss_name)
+        draw_curves(self.file(CURVES_NAME), result.epochs, loss_name, model)
         values = {
             "best_epoch": result.best.number + 1,
             "epochs": len(result.epochs),
             "loss": loss_name,
             **validation,
+            "units": dict(zip(model.names, model.units, strict=True)),
+            "not_labelled": list(model.unknown),
             "stopped": result.stopped,
             "minutes": result.minutes,
         }
@@ -195,23 +200,24 @@ def _write(path: Path, text: str) -> None:
         temporary.write_text(text)
 
 
-def draw_curves(path: Path, epochs: list[Epoch], loss_name: str) -> None:
+def draw_curves(path: Path, epochs: list[Epoch], loss_name: str, model: ContactModel) -> None:
     """Loss and MAE over the epochs."""
     from tactile_perception.estimating.plots import log_axis, plot_grid
 
-    figure, [[loss, translation, rotation]] = plot_grid(1, 3, 3.3)
+    units = list(dict.fromkeys(model.units))
+    figure, [[loss, *errors]] = plot_grid(1, 1 + len(units), 3.3)
     number = [epoch.number + 1 for epoch in epochs]
     loss.plot(number, [epoch.train_loss for epoch in epochs], label="training (with dropout)")
     loss.plot(number, [epoch.validation_loss for epoch in epochs], label="validation")
     loss.set(xlabel="epoch", ylabel=loss_name)
     mae = np.array([epoch.mae for epoch in epochs])
-    for component, name in enumerate(COMPONENTS):
-        axes = translation if component < 3 else rotation
-        axes.plot(number, mae[:, component], label=name)
-    for axes, unit in ((translation, "mm"), (rotation, "rad")):
+    for component, (name, unit) in enumerate(zip(model.names, model.units, strict=True)):
+        if np.isfinite(mae[:, component]).any():
+            errors[units.index(unit)].plot(number, mae[:, component], label=name)
+    for axes, unit in zip(errors, units, strict=True):
         axes.set(xlabel="epoch", ylabel=f"validation MAE ({unit})")
         log_axis(axes, "y")
-    for axes in (loss, translation, rotation):
+    for axes in (loss, *errors):
         axes.legend()
         axes.grid(alpha=0.3)
     figure.savefig(path, dpi=110)

@@ -102,6 +102,11 @@ class NetworkSettings(Settings):
 class TrainingSettings(Settings):
     """Optimizer, schedule and stopping of the paper; what concerns speed rather than result comes last."""
 
+    model: str = setting(
+        "surface",
+        doc="contact model, what the network tells: surface, edge, surface_force or one of another package; "
+        "what the data do not label has no part in the loss",
+    )
     batch_size: int = setting(16, lower=1, upper=65536, doc="samples a step")
     learning_rate_start: float = setting(
         1e-5, lower=0.0, upper=1.0, doc="first learning rate of the linear rise"

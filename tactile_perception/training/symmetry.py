@@ -61,7 +61,10 @@ class SymmetryAxis(nn.Module):
         return tuple((self.values * self.units).tolist())
 
     def forward(self, labels: Tensor, turns: Tensor) -> Tensor:
-        """Labels (N, 6) in mm and rad of the contacts turned `turns` (N,) times; exact for k = 0."""
+        """Labels (N, 6 or 9) in mm, rad and N of the contacts turned `turns` (N,) times; exact for k = 0.
+
+        A force, where there is one, turns with the sensor's axes.
+        """
         x, y, tilt_x, tilt_y = (self.values * self.units).unbind()
         zero = torch.zeros_like(x)
         rotation = torch.linalg.matrix_exp(_hat(torch.stack([tilt_x, tilt_y, zero])))
@@ -69,7 +72,10 @@ class SymmetryAxis(nn.Module):
         top = torch.cat([rotation, offset], dim=1)
         adjoint = torch.cat([top, torch.cat([torch.zeros_like(rotation), rotation], dim=1)])
         maps = adjoint @ self.turns @ torch.linalg.inv(adjoint)
-        turned = torch.einsum("nij,nj->ni", maps[turns], labels)
+        turned = torch.einsum("nij,nj->ni", maps[turns], labels[:, :6])
+        if labels.shape[1] > 6:
+            force = torch.einsum("nij,nj->ni", maps[turns][:, :3, :3], labels[:, 6:])
+            turned = torch.cat([turned, force], dim=1)
         return torch.where(turns[:, None] == 0, labels, turned)
 
 

@@ -14,7 +14,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tactile_perception.estimating.labels import COMPONENTS, depths
 from tactile_perception.estimating.layout import Layout
 from tactile_perception.estimating.model_metadata import MODEL_NAME, ModelMetadata
 from tactile_perception.estimating.novelty import Novelty
@@ -76,6 +75,7 @@ def train_network(
     settings = config.training
     history = run.restore(folder.load_state()) if resume else _History()
     remaining = TimeLeft(settings.epochs, run.steps_per_epoch, settings.batch_size, len(data.validation))
+    progress.learning(data.model)
     progress.start(settings.epochs, run.steps_per_epoch, run.loss_name, len(history.epochs))
     while history.stopped is None:
         number = len(history.epochs)
@@ -85,7 +85,7 @@ def train_network(
             history.stopped = "the network's weights were not finite any more"
         if epoch.best:
             folder.save_best(weights)
-        folder.write_epochs(history.epochs, run.loss_name)
+        folder.write_epochs(history.epochs, run.loss_name, data.model.columns)
         folder.save_state(run.state(history))
         progress.epoch(epoch)
     if history.best is None:
@@ -95,7 +95,7 @@ def train_network(
     validation = run.finish(folder, history.best)
     model_path = folder.file(MODEL_NAME)
     result = TrainResult(model_path, history.best, history.epochs, history.stopped, history.minutes)
-    folder.finish(result, run.loss_name, validation)
+    folder.finish(result, run.loss_name, validation, data.model)
     return result
 
 
@@ -137,7 +137,7 @@ class _Run:
         self.config, self.data = config, data
         self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         self.layout = torch.channels_last if settings.channels_last else torch.contiguous_format
-        self.network = PoseNetwork(config.network)
+        self.network = PoseNetwork(config.network, data.model)
         self.loss_name = self.network.distribution.name
         self.images = torch.from_numpy(data.training.images).to(self.device)
         self.labels = torch.from_numpy(data.training.labels.astype(np.float32)).to(self.device)
@@ -223,12 +223,12 @@ class _Run:
         return self.network.distribution.loss(labels, raw)
 
     def evaluate(self, samples: Samples, precision: str = "fp32") -> tuple[float, NDArray[np.float64]]:
-        """Loss and MAE (6,) of the network as it is."""
-        raw = self.answers(samples, precision)
+        """Loss and MAE (K,) of the network as it is; NaN where nothing is labelled."""
+        raw, head = self.answers(samples, precision), self.network.distribution
         labels = torch.from_numpy(samples.labels.astype(np.float32))
-        loss = self.network.distribution.loss(labels, raw).item()
-        mae = (self.network.distribution.mean(raw) - labels).abs().double().mean(dim=0).numpy()
-        return loss, mae
+        error, labelled = head.error(labels, head.mean(raw))
+        mae = error.abs().double().sum(dim=0) / labelled.double().sum(dim=0)
+        return head.loss(labels, raw).item(), mae.numpy()
 
     @torch.inference_mode()
     def answers(self, samples: Samples, precision: str = "fp32") -> Tensor:
@@ -245,7 +245,9 @@ class _Run:
         """Export the best epoch's network, calibrated on what was held out; its facts on validation data."""
         self.network.load_state_dict(folder.load_best())
         loss, mae = self.evaluate(self.data.validation)
-        validation = {"validation_loss": loss, "mae": dict(zip(COMPONENTS, mae.tolist(), strict=True))}
+        model = self.data.model
+        errors = {name: value for name, value in zip(model.names, mae.tolist(), strict=True) if value == value}
+        validation = {"validation_loss": loss, "mae": errors}
         training: dict[str, Any] = self.config.plain()
         if self.axis is not None:
             training["symmetry_axis_found"] = self.axis.parameters_of_axis()
@@ -257,8 +259,11 @@ class _Run:
             training=training,
             calibration=calibration,
             layout=Layout.of(self.data.training.images),
-            plain_depth=PlainDepth.fit(self.data.training.images, depths(self.data.training.labels)),
+            plain_depth=PlainDepth.fit(
+                self.data.training.images, model.depths(self.data.training.labels)
+            ),
             novelty=Novelty.fit(self.data.training.images),
+            contact_model=model,
         )
         sigma = self._constant_sigma()
         self.network.to("cpu")
@@ -273,15 +278,21 @@ class _Run:
         raw = self.answers(held_out)
         head = self.network.distribution
         mean, covariance = head.mean(raw).double().numpy(), head.covariance(raw).double().numpy()
-        return fit_calibration(held_out.labels, mean, covariance, self.config.calibration)
+        error = self.data.model.error(mean, held_out.labels)
+        return fit_calibration(held_out.labels, mean, covariance, self.config.calibration, error)
 
     def _constant_sigma(self) -> NDArray[np.float64] | None:
-        """RMS errors (6,) of a network without uncertainty, on held-out or else on validation data."""
+        """RMS errors (K,) of a network without uncertainty, on held-out or else on validation data."""
         if self.config.network.head != "mse":
             return None
         samples = self.data.held_out if len(self.data.held_out) else self.data.validation
-        errors = self.network.distribution.mean(self.answers(samples)).double().numpy() - samples.labels
-        return np.asarray(np.sqrt((errors**2).mean(axis=0)))
+        mean = self.network.distribution.mean(self.answers(samples)).double().numpy()
+        model = self.data.model
+        squared = model.error(mean, samples.labels) ** 2
+        known = np.isfinite(squared)
+        count = known.sum(axis=0)
+        total = np.where(known, squared, 0.0).sum(axis=0)
+        return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), model.prior[1])
 
     def state(self, history: _History) -> dict[str, Any]:
         """All that decides how the run goes on, in plain values and tensors."""
@@ -322,7 +333,7 @@ class _Run:
         if settings.symmetry > 1:
             self.axis = SymmetryAxis(settings.symmetry_axis, settings.symmetry, settings.symmetry_sense)
             self.axis.to(self.device)
-        depth = -data.training.labels[:, 2]
+        depth = data.model.depths(data.training.labels)
         return Augmenter(data.large, depth, data.preprocessing.crop_shape, settings)
 
     def _input(self, images: Tensor) -> Tensor:

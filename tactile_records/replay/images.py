@@ -6,6 +6,7 @@ They go through messages as they would from node to node, so that the filter tak
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -17,7 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_base.topics import ESTIMATE, IMAGE, PRESENCE, Topic, compressed, sensor_frame
+from tactile_base.topics import (
+    ESTIMATE,
+    FORCE_ESTIMATE,
+    IMAGE,
+    PRESENCE,
+    WRENCH,
+    Topic,
+    compressed,
+    sensor_frame,
+)
+from tactile_filter.force import ForceGaussian
 from tactile_perception.estimating.encodings import decompressed, gray_of
 from tactile_perception.estimating.estimator import Estimator, ModelError
 from tactile_perception.estimating.image import ImageError
@@ -27,7 +38,7 @@ from tactile_perception.estimating.presence import ContactPresence, PresenceSett
 from tactile_records.bags.contents import Recorded, noted
 from tactile_records.bags.message_columns import Needed, lacking, rows_of
 from tactile_records.bags.reader import Bag
-from tactile_records.replay.run import pose_rows
+from tactile_records.replay.run import force_rows, pose_rows
 from tactile_records.replay.topics import ReplayError, wanted_topics
 from tactile_wire.cdr import blank_layout, layout_of
 from tactile_wire.errors import MessageError as Unreadable
@@ -77,7 +88,7 @@ def estimated(bag: Bag, model: Path | None) -> tuple[Bag, list[str]]:
             f"(--record-images records them); topics with messages: {topics}"
         )
     remarks: list[str] = []
-    replaced = {kind.of(arm).name for arm in arms for kind in (ESTIMATE, PRESENCE)}
+    replaced = {kind.of(arm).name for arm in arms for kind in (ESTIMATE, PRESENCE, WRENCH, FORCE_ESTIMATE)}
     made = {arm: _Estimates(bag, arm, model, remarks) for arm in arms}
     messages: list[Recorded] = []
     for item in _decoded(bag):
@@ -192,6 +203,8 @@ class _Estimates:
         if percept.estimate is not None:
             rows = pose_rows([(image.stamp_ns, percept.estimate.mean, percept.estimate.cov)], frame)
             messages.insert(0, _recorded(self.arm, ESTIMATE, next(rows_of(rows)), image))
+        if percept.force is not None:
+            messages += _force_messages(self.arm, image, frame, percept.force)
         return messages
 
     def report(self, remarks: list[str]) -> None:
@@ -216,6 +229,20 @@ def _presence_message(
     row["score"], row["threshold"], row["in_contact"] = score, threshold, in_contact
     row["novelty"] = novelty
     return _recorded(arm, PRESENCE, row.tobytes(), image)
+
+
+def _force_messages(arm: str, image: Image, frame: str, force: ForceGaussian) -> list[Recorded]:
+    """The force as a wrench, whose torque is 0, and with its covariance."""
+    wrench = blank_layout(WRENCH.type, {"header.frame_id": frame})
+    row = np.frombuffer(bytearray(wrench.template), wrench.dtype)
+    row["header.stamp.sec"], row["header.stamp.nanosec"] = divmod(image.stamp_ns, SECOND_NS)
+    for axis, value in zip("xyz", force.mean.tolist(), strict=True):
+        row[f"wrench.force.{axis}"] = value
+    rows = force_rows([(image.stamp_ns, force, math.nan)], frame)
+    return [
+        _recorded(arm, WRENCH, row.tobytes(), image),
+        _recorded(arm, FORCE_ESTIMATE, next(rows_of(rows)), image),
+    ]
 
 
 def _recorded(arm: str, topic: Topic, data: bytes, image: Image) -> Recorded:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from tactile_base.topics import ESTIMATE, PRESENCE, TF, TF_STATIC, contact_frame
+from tactile_base.topics import ESTIMATE, FORCE_ESTIMATE, PRESENCE, TF, TF_STATIC, contact_frame
 from tactile_geometry.transform_buffer import MotionLimits
 from tactile_records.bags.reader import Bag, read_bag
 from tactile_records.replay.settings import recorded_group
@@ -110,7 +110,8 @@ def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
 def _assign_epochs(recording: Recording, track: Track, limits: MotionLimits) -> list[str]:
     """Give each message and each transform of an arm its epoch, without those that jumped; remarks on it."""
     sources: dict[str, Timeline] = {f"/tf of {child}": link for child, link in recording.moving.items()}
-    for topic, kind in ((track.estimate, ESTIMATE), (track.presence, PRESENCE)):
+    parts = (track.estimate, ESTIMATE), (track.presence, PRESENCE), (track.force, FORCE_ESTIMATE)
+    for topic, kind in parts:
         if len(topic):
             sources[kind.of(track.arm.name).name] = topic
     remarks = [

@@ -10,18 +10,18 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from tactile_base.topics import BELIEF, RELIABLE, SMOOTHED, STATE, TF_STATIC, Topic
+from tactile_base.topics import BELIEF, FORCE_BELIEF, RELIABLE, SMOOTHED, STATE, TF_STATIC, Topic
 from tactile_filter.belief import Belief
 from tactile_records.bags.contents import Recorded, noted
 from tactile_records.bags.message_columns import rows_of
 from tactile_records.bags.reader import Bag
 from tactile_records.bags.writer import BagWriter
-from tactile_records.replay.run import ArmRun, pose_rows
+from tactile_records.replay.run import ArmRun, force_rows, pose_rows
 from tactile_wire.message_definitions import message_definition
 
 Array = NDArray[Any]
 
-OUTPUTS = (BELIEF, STATE, SMOOTHED)
+OUTPUTS = (BELIEF, STATE, SMOOTHED, FORCE_BELIEF)
 
 
 def write_bag(folder: Path, bag: Bag, runs: Sequence[ArmRun], copies: Sequence[Recorded] = ()) -> None:
@@ -53,7 +53,7 @@ def write_bag(folder: Path, bag: Bag, runs: Sequence[ArmRun], copies: Sequence[R
             messages.append(message)
     messages.sort(key=lambda message: message.received_ns)
     definitions = {type_name: text for type_name, text in bag.definitions.items() if type_name != STATE.type}
-    definitions |= {name: message_definition(name) for name in (STATE.type, BELIEF.type)}
+    definitions |= {name: message_definition(name) for name in (STATE.type, BELIEF.type, FORCE_BELIEF.type)}
     ordered = [topics[name] for name in sorted(topics)]
     with BagWriter(folder, ordered, definitions, _note(bag, runs)) as writer:
         for message in messages:
@@ -67,7 +67,9 @@ def _messages(run: ArmRun) -> list[Recorded]:
     """What a run publishes."""
     received = [measurement.received_ns for measurement in run.measurements]
     states = _recorded(run, STATE, run.states, received)
-    return states + _poses(run, BELIEF, run.beliefs) + _poses(run, SMOOTHED, run.smoothed)
+    rows = force_rows([force for force, _ in run.forces], run.inputs.sensor_frame)
+    forces = _recorded(run, FORCE_BELIEF, rows, [received_ns for _, received_ns in run.forces])
+    return states + _poses(run, BELIEF, run.beliefs) + _poses(run, SMOOTHED, run.smoothed) + forces
 
 
 def _poses(run: ArmRun, topic: Topic, beliefs: Sequence[Belief]) -> list[Recorded]:

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_base.topics import BELIEF, STATE
+from tactile_base.topics import BELIEF, FORCE_BELIEF, STATE
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
+from tactile_filter.force import ForceFilter, ForceGaussian
 from tactile_filter.smoother import smooth
 from tactile_geometry.gaussian import UNUSABLE, ros_from_left
 from tactile_records.bags.message_columns import stamps_ns
@@ -41,6 +42,8 @@ class ArmRun:
     ----------
     measurements : list of Measurement
         Those that were taken; `beliefs` has one for each, `smoothed` as well after `smooth_run`.
+    forces : list
+        What is believed of the force: (stamp, Gaussian, NIS), and when its measurement was recorded.
     states : ndarray
         The ContactState messages, as structured array.
     left_out : int
@@ -54,6 +57,7 @@ class ArmRun:
     measurements: list[Measurement] = field(default_factory=list)
     beliefs: list[Belief] = field(default_factory=list)
     smoothed: list[Belief] = field(default_factory=list)
+    forces: list[tuple[tuple[int, ForceGaussian, float], int]] = field(default_factory=list)
     states: Array = field(default_factory=lambda: np.zeros(0))
     left_out: int = 0
     resets: Counter[str] = field(default_factory=Counter)
@@ -92,6 +96,7 @@ def run_filter(
     run = ArmRun(inputs, settings)
     taken = _taken_live(inputs) if as_recorded else None
     contact_filter, epoch = ContactFilter(settings, inputs.bounds), 0
+    force_filter = ForceFilter(inputs.force_settings)
     waiting, taken_at = list(changes), _times_taken(inputs) if changes else {}
     for measurement in inputs.measurements:
         if taken is not None and not taken(measurement.stamp_ns):
@@ -108,6 +113,12 @@ def run_filter(
         run.measurements.append(measurement)
         belief = contact_filter.observe(measurement.stamp_ns, measurement.estimate, measurement.T_base_sensor)
         run.beliefs.append(belief)
+        if measurement.estimate is None:
+            force_filter.reset()
+        elif measurement.force is not None and not force_filter.step(measurement.stamp_ns, measurement.force):
+            assert force_filter.belief is not None
+            told = measurement.stamp_ns, force_filter.belief, force_filter.nis
+            run.forces.append((told, measurement.received_ns))
     run.rejections, run.resets = contact_filter.all_rejections, contact_filter.resets
     run.states = state_rows(run.beliefs, inputs.sensor_frame)
     return run
@@ -170,6 +181,18 @@ def pose_rows(gaussians: Sequence[tuple[int, Array, Array]], frame_id: str) -> A
         rows[name] = values
     covs = ros_from_left(np.array([cov for _, _, cov in gaussians]), means[:, :3, 3])
     rows["pose.covariance"] = covs.reshape(-1, 36)
+    return rows
+
+
+def force_rows(forces: Sequence[tuple[int, ForceGaussian, float]], frame_id: str) -> Array:
+    """ContactForce messages of forces (stamp, Gaussian, NIS), as structured array."""
+    rows = _blank(_layout(FORCE_BELIEF.type, frame_id), len(forces))
+    if not len(rows):
+        return rows
+    _set_stamps(rows, [stamp_ns for stamp_ns, _, _ in forces])
+    rows["force"] = [force.mean for _, force, _ in forces]
+    rows["covariance"] = np.array([force.cov for _, force, _ in forces]).reshape(-1, 9)
+    rows["nis"] = [nis for _, _, nis in forces]
     return rows
 
 

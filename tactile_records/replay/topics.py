@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from tactile_base.topics import (
     ARM_POSE,
     ESTIMATE,
+    FORCE_ESTIMATE,
     PARAMETER_EVENTS,
     PRESENCE,
     STATE,
@@ -48,6 +49,7 @@ ARM_POSE_PARTS = pose_columns("pose.position", "pose.orientation")
 _NEEDED: dict[Topic, Needed] = {  # what a replay uses of each topic
     ESTIMATE: {**_HEADER, **dict.fromkeys(POSE, ()), "pose.covariance": (36,)},
     PRESENCE: {**_HEADER, "in_contact": ()},
+    FORCE_ESTIMATE: {**_HEADER, "force": (3,), "covariance": (9,)},
     STATE: {**_HEADER, "flags": (), "nis": (), "latency.sec": (), "latency.nanosec": ()},
     TRUTH: {**_HEADER, "euler": (6,), "depth": (), "slip_fraction": (), "in_contact": ()},
     ARM_POSE: {**_HEADER, **dict.fromkeys(ARM_POSE_PARTS, ())},

@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.topics import ARM_POSE, ESTIMATE, PRESENCE, STATE, TRUTH
+from tactile_base.topics import ARM_POSE, ESTIMATE, FORCE_ESTIMATE, PRESENCE, STATE, TRUTH
 from tactile_filter.contact_bounds import TACTIP, ContactBounds
+from tactile_filter.force import ForceGaussian, ForceSettings
 from tactile_filter.filter_settings import FilterSettings
 from tactile_geometry import se3
 from tactile_geometry.gaussian import UNUSABLE, PoseGaussian
@@ -44,6 +45,8 @@ class Measurement:
         Of X_sf; None where nothing touches the sensor.
     T_base_sensor : (4, 4) or None
         Where the sensor was; not looked up where nothing touches it.
+    force : ForceGaussian or None
+        What the network told of the force.
     """
 
     stamp_ns: int
@@ -51,6 +54,7 @@ class Measurement:
     epoch: int
     estimate: PoseGaussian | None
     T_base_sensor: Array | None
+    force: ForceGaussian | None = None
 
 
 class _Event(NamedTuple):
@@ -86,7 +90,7 @@ class ArmInputs:
         Stamps at which the live filter had been asked to start anew.
     remarks : list of str
         What is missing, was refused, or is odd.
-    bounds : ContactBounds
+    bounds, force_settings : ContactBounds, ForceSettings
         Of the live filter.
     """
 
@@ -100,6 +104,7 @@ class ArmInputs:
     resets: frozenset[int] = frozenset()
     remarks: list[str] = field(default_factory=list)
     bounds: ContactBounds = TACTIP
+    force_settings: ForceSettings = field(default_factory=ForceSettings)
 
 
 class Track:
@@ -109,9 +114,11 @@ class Track:
         self.arm = ArmInputs(name, base_frame, "")
         self.reader = reader
         self.arm.bounds = recorded_group(reader.bag.note, name, "bounds.", ContactBounds)
+        self.arm.force_settings = recorded_group(reader.bag.note, name, "force.", ForceSettings)
         remarks = self.arm.remarks
         self.estimate = reader.topic(ESTIMATE, name, remarks)
         self.presence = reader.topic(PRESENCE, name, remarks)
+        self.force = reader.topic(FORCE_ESTIMATE, name, remarks)
         self.state = reader.topic(STATE, name, remarks)
         self.truth = reader.topic(TRUTH, name, remarks)
         self.rows, self.gaussians = self._take_estimates()
@@ -227,13 +234,12 @@ class Track:
             arm.remarks.append(
                 f"{len(missing)} estimates have no pose of the sensor, the first: {missing[0]}"
             )
-        measurements = []
+        measurements, forces = [], _forces(self.force)
         for event in events:
             pose = found.get((event.epoch, event.stamp_ns))
             if not isinstance(pose, TransformUnavailable):
-                measurements.append(
-                    Measurement(event.stamp_ns, event.received_ns, event.epoch, event.estimate, pose)
-                )
+                what = event.estimate, pose, forces.get((event.epoch, event.stamp_ns))
+                measurements.append(Measurement(event.stamp_ns, event.received_ns, event.epoch, *what))
         return measurements
 
 
@@ -249,6 +255,15 @@ def _first_of_each_stamp(topic: Messages, rows: Array) -> dict[tuple[int, int], 
     ):
         found.setdefault(key, row)
     return found
+
+
+def _forces(topic: Messages) -> dict[tuple[int, int], ForceGaussian]:
+    """What the network told of the force, by (epoch, stamp); of equal stamps the first."""
+    found: dict[int, ForceGaussian] = {}
+    for group in topic.columns:
+        values = zip(group.values["force"], group.values["covariance"].reshape(-1, 3, 3), strict=True)
+        found |= {int(row): ForceGaussian(*pair) for row, pair in zip(group.indices, values, strict=True)}
+    return {key: found[row] for key, row in _first_of_each_stamp(topic, np.arange(len(topic))).items()}
 
 
 def _in_contact(topic: Messages) -> list[bool]:

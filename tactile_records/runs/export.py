@@ -24,7 +24,17 @@ from tactile_records.runs.record import GaussianSeries, RunRecord, Series
 Array = NDArray[Any]
 Table = dict[str, Array]
 
-STREAMS = ("pose", "estimate", "belief", "truth", "presence", "command", "arm_twist")
+STREAMS = (
+    "pose",
+    "estimate",
+    "belief",
+    "truth",
+    "presence",
+    "force_estimate",
+    "force",
+    "command",
+    "arm_twist",
+)
 TANGENT = ("rho_x", "rho_y", "rho_z", "phi_x", "phi_y", "phi_z")
 EULER = ("x_m", "y_m", "z_m", "alpha_rad", "beta_rad", "gamma_rad")
 TWIST = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
@@ -56,6 +66,11 @@ def table_of(series: Series) -> Table:
             table |= pose_columns(item.name, values)
         elif values.shape[1:] == (6, 6):
             table |= covariance_columns(values)
+        elif values.shape[1:] == (3,):
+            table |= {f"{item.name}_{axis}_n": values[:, k] for k, axis in enumerate("xyz")}
+        elif values.shape[1:] == (3, 3):
+            pairs = [(i, j) for i in range(3) for j in range(i, 3)]
+            table |= {f"cov_{'xyz'[i]}_{'xyz'[j]}_n2": values[:, i, j] for i, j in pairs}
         elif values.shape[1:] == (6,):
             names = _OF_SIX.get(item.name, TWIST)
             table |= {f"{item.name}_{name}": values[:, k] for k, name in enumerate(names)}

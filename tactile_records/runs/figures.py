@@ -351,8 +351,32 @@ def message(text: str) -> Figure:
     return figure
 
 
+def force(record: RunRecord) -> Figure | None:
+    """The force on the sensor: estimates, and beliefs with two standard deviations; None without any."""
+    clock = _ContactClock(record)
+    if not len(record.force) or not clock.stretches:
+        return None
+    figure, grid = plt.subplots(3, 1, figsize=(9.0, 6.0), sharex=True, layout="constrained")
+    for k, (axes, axis) in enumerate(zip(grid, "xyz", strict=True)):
+        t, at = _by_time(clock, record.force_estimate.stamp_ns)
+        estimates = record.force_estimate.force[at, k]
+        axes.plot(t, estimates, ".", color=ESTIMATE, ms=2.0, alpha=0.6, label="estimate", zorder=2)
+        t, at = _by_time(clock, record.force.stamp_ns)
+        values, sigma = record.force.force[at, k], np.sqrt(record.force.cov[at, k, k])
+        t, (values, sigma) = with_gaps(t, values, sigma)
+        axes.fill_between(
+            t, values - 2 * sigma, values + 2 * sigma, color=BELIEF, alpha=0.22, lw=0, label="belief ± 2σ"
+        )
+        axes.plot(t, values, color=BELIEF, lw=1.3, label="belief", zorder=3)
+        axes.set(ylabel=f"force {axis} (N)")
+    grid[-1].set_xlabel("time in contact (s)")
+    grid[0].legend(loc="upper right", ncols=3)
+    return figure
+
+
 CONTACT_PICTURES: dict[str, Picture] = {
     "contact.png": of_one_arm(contact),
+    "force.png": of_one_arm(force),
     "twists.png": of_one_arm(twists),
     "latency.png": of_one_arm(latency),
 }

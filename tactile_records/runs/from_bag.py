@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_base.input_file import parse_json
 from tactile_base.stamps import ns_from_parts
-from tactile_base.topics import TF, body_frame
+from tactile_base.topics import FORCE_BELIEF, FORCE_ESTIMATE, TF, body_frame
 from tactile_control.tasks import TASKS
 from tactile_geometry import se3
 from tactile_geometry.gaussian import left_from_ros
@@ -208,6 +208,15 @@ def _presence_row(message: Any) -> dict[str, Any]:
     return row | {"in_contact": message.in_contact, "novelty": novelty}
 
 
+def _force_row(message: Any) -> dict[str, Any]:
+    return {
+        "stamp_ns": stamp_of(message),
+        "force": _finite(np.asarray(message.force), "its force"),
+        "cov": _finite(np.reshape(message.covariance, (3, 3)), "its covariance"),
+        "nis": message.nis,
+    }
+
+
 def _command_row(message: Any) -> dict[str, Any]:
     same = ("unlimited", "error", "feedforward", "reference", "phase", "goal")
     row = {"stamp_ns": stamp_of(message), "twist": message.limited, "exposure_ns": _ns(message.belief_stamp)}
@@ -225,6 +234,8 @@ STREAMS: dict[str, tuple[str, Callable[[Any], dict[str, Any] | None]]] = {
     "estimate": ("contact/estimate", gaussian_row),
     "belief": ("contact/state", _belief_row),
     "presence": ("contact/presence", _presence_row),
+    "force_estimate": (FORCE_ESTIMATE.name, _force_row),
+    "force": (FORCE_BELIEF.name, _force_row),
     "command": ("controller/status", _command_row),
     "arm_twist": ("arm/status", _arm_row),
 }

@@ -72,6 +72,10 @@ REPORT_FIELDS: dict[str, str] = {
     "contact.*.in_2_sigma": "part of the beliefs whose true component lies within 2 sigma (0..1)",
     "novelty.mean": "how unlike the training images those in contact were, foreign above 1",
     "novelty.max": "the largest of them",
+    "force.mean_n.*": "mean of the believed force on the sensor at work, x, y, z in its frame (N)",
+    "force.deviation_n.*": "its standard deviation (N)",
+    "force.largest_n": "the largest believed force (N)",
+    "force.nis_per_dof": "mean of the force's NIS over its 3 degrees of freedom (1 for a consistent filter)",
     "latency_ms.p50": "median time from exposure to command emission",
     "latency_ms.p99": "its 99th percentile",
     "latency_ms.max": "its largest",
@@ -108,6 +112,7 @@ def report(record: RunRecord) -> dict[str, Any]:
         "belief": _errors(record, record.belief) | _consistency(record),
         "contact": _components(record),
         "novelty": _novelty(record.presence),
+        **({"force": _force(record)} if len(record.force) else {}),
         "latency_ms": _latency(record),
         "frames": _frames(record),
         "goals": {name: _goal(record, index, truth) for index, name in enumerate(record.goals)},
@@ -303,6 +308,18 @@ def _matched(record: RunRecord, series: GaussianSeries) -> tuple[Array, Array]:
 def _novelty(presence: PresenceSeries) -> dict[str, float]:
     known = presence.novelty[presence.in_contact & np.isfinite(presence.novelty)]
     return {"mean": mean(known), "max": largest(known)}
+
+
+def _force(record: RunRecord) -> dict[str, Any]:
+    """Of what is believed of the force while at work."""
+    series = record.force.rows(record.working(record.force.stamp_ns))
+    columns = series.force.T
+    return {
+        "mean_n": dict(zip("xyz", map(mean, columns), strict=True)),
+        "deviation_n": {axis: rms(column - mean(column)) for axis, column in zip("xyz", columns, strict=True)},
+        "largest_n": largest(np.linalg.norm(series.force, axis=1)),
+        "nis_per_dof": mean(series.nis[np.isfinite(series.nis)]) / 3.0,
+    }
 
 
 def _latency(record: RunRecord) -> dict[str, Any]:

@@ -109,6 +109,15 @@ class TruthSeries(Series):
 
 
 @dataclass
+class ForceSeries(Series):
+    """Forces on the sensor in its frame (N) with their covariance, at exposure stamps."""
+
+    force: Array = _array(3)
+    cov: Array = _array(3, 3)
+    nis: Array = _array()  # of the estimate that was fused; NaN in estimates
+
+
+@dataclass
 class PresenceSeries(Series):
     """The contact detector's answers, at exposure stamps."""
 
@@ -202,6 +211,8 @@ class RunRecord:
     directions : ndarray (G, 3)
         Direction in the base in which each goal is to end, of any length; NaN for one without.
     T_world_base : ndarray (4, 4) where the arm stands
+    force_estimate, force : ForceSeries
+        What the network tells of the force, and what the filter believes; empty where it does not tell.
     body : BodySeries
         The body that the arm touches and a motion model moves; empty where nobody knows its pose.
     latency : stage name -> StageSeries, cumulative from the exposure, in the order of the stages
@@ -230,6 +241,8 @@ class RunRecord:
     estimate: GaussianSeries = field(default_factory=GaussianSeries)
     belief: BeliefSeries = field(default_factory=BeliefSeries)
     presence: PresenceSeries = field(default_factory=PresenceSeries)
+    force_estimate: ForceSeries = field(default_factory=ForceSeries)
+    force: ForceSeries = field(default_factory=ForceSeries)
     command: CommandSeries = field(default_factory=CommandSeries)
     arm_twist: ArmSeries = field(default_factory=ArmSeries)
     latency: dict[str, StageSeries] = field(default_factory=dict)

@@ -1,7 +1,9 @@
 """Estimator node: camera images -> Gaussian over the surface contact pose, and contact presence.
 
 For each image it publishes `contact/presence` and, in contact, `contact/estimate` before it: a network always
-answers, but without contact there is nothing to estimate. Both have the image's exposure stamp.
+answers, but without contact there is nothing to estimate. A network that tells the force has it published as
+`contact/wrench` (its torque is 0: not told) and, with covariance, `contact/wrench_estimate`. All have the
+image's exposure stamp.
 The newest image wins: what it replaces is told by the stamps and counted. Colors and crops become what the
 model was trained on where its file says how (`estimating.encodings`, `Preprocessor`). Images that cannot be
 used (another encoding, another size, no picture of the sensor: `estimating.image_check`) and answers of the
@@ -20,13 +22,14 @@ import math
 import sys
 from dataclasses import dataclass
 
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from numpy.typing import NDArray
 from std_srvs.srv import Trigger
 
 from tactile_base import topics
 from tactile_base.settings import setting
 from tactile_base.stamps import SECOND_NS
+from tactile_msgs.msg import ContactForce
 from tactile_msgs.msg import ContactPresence as PresenceMessage
 from tactile_perception.estimating.estimator import Estimator, EstimatorSettings, ModelError
 from tactile_perception.estimating.image import ImageError
@@ -37,7 +40,7 @@ from tactile_perception.estimating.presence import ContactPresence, PresenceSett
 from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode
-from tactile_ros.message_bytes import headed_bytes
+from tactile_ros.message_bytes import force_bytes, headed_bytes
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
@@ -102,6 +105,14 @@ class EstimatorNode(ManagedNode):
         self.perceive = Perceiver(estimator, self.presence, self.check)
         self.presence_out = self.publisher(PresenceMessage, topics.PRESENCE.name, STATE)
         self.estimate_out = self.publisher(PoseWithCovarianceStamped, topics.ESTIMATE.name, STATE)
+        told = estimator.metadata.contact_model
+        if told.forces:
+            self.wrench_out = self.publisher(WrenchStamped, topics.WRENCH.name, STATE)
+            self.force_out = self.publisher(ContactForce, topics.FORCE_ESTIMATE.name, STATE)
+        self.report.values["contact model"] = told.name
+        if told.unknown:
+            self.report.values["not labelled"] = ", ".join(told.unknown)
+            self.get_logger().warning(f"{estimator.path}: {told.says_unknown()}")
         self.latency = LatencyPublisher(self, "estimator", self.sensor_frame)
         success_message = "the next images become the reference"
         capture = functools.partial(self.presence.capture, compare=False)
@@ -147,6 +158,11 @@ class EstimatorNode(ManagedNode):
         if percept.estimate is not None:
             mean, cov = percept.estimate.mean, percept.estimate.cov
             self.estimate_out.publish(gaussian_bytes(stamp_ns, self.sensor_frame, mean, cov))
+        if percept.force is not None:
+            force = percept.force.mean.tolist()
+            wrench = headed_bytes(WrenchStamped, stamp_ns, self.sensor_frame, *force, 0.0, 0.0, 0.0)
+            self.wrench_out.publish(wrench)
+            self.force_out.publish(force_bytes(stamp_ns, self.sensor_frame, percept.force))
 
     def _in_order(self, stamp_ns: int) -> bool:
         """Count what is missing since the last image; False for an image that is not later than it."""

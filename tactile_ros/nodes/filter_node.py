@@ -5,6 +5,7 @@ announces its estimate. Each waits for the sensor's pose at its stamp up to `tf_
 and counted. One that comes after a later one has been taken is put in its place, if the setting `history`
 allows. A backward jump of the clock, the loss of contact and `~/reset` (tactile_msgs/ResetFilter) clear the
 belief. Without contact `contact/state` says so and holds no belief.
+Forces are filtered apart (`tactile_filter.force`): `contact/wrench_estimate` -> `contact/wrench_belief`.
 /diagnostics reports whether the filter's innovations are what its covariances claim.
 """
 
@@ -24,13 +25,14 @@ from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings
 from tactile_filter.contact_bounds import ContactBounds
 from tactile_filter.events import Event, measurement_join, says_no_contact
+from tactile_filter.force import ForceFilter, ForceGaussian, ForceSettings
 from tactile_geometry.gaussian import UNUSABLE, PoseGaussian
 from tactile_geometry.transform_buffer import MotionLimits, TransformUnavailable
-from tactile_msgs.msg import ContactPresence, ContactState
+from tactile_msgs.msg import ContactForce, ContactPresence, ContactState
 from tactile_records.messages import state_bytes
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter
-from tactile_ros.message_bytes import HeadedReader, read_gaussian
+from tactile_ros.message_bytes import HeadedReader, force_bytes, read_gaussian
 from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
@@ -47,6 +49,7 @@ from tactile_wire.pose_numbers import gaussian_from_numbers
 
 PRESENCE, ESTIMATE = topics.PRESENCE.name, topics.ESTIMATE.name
 read_presence = HeadedReader(ContactPresence)
+read_force = HeadedReader(ContactForce)
 
 
 class FilterNode(ManagedNode):
@@ -67,6 +70,11 @@ class FilterNode(ManagedNode):
             self, ConsistencySettings(), prefix="consistency", on_change=self.monitor.configure
         )
         self.monitor.configure(consistency.value)
+        self.force = ForceFilter()
+        force = SettingsParameters(
+            self, ForceSettings(), prefix="force", on_change=lambda settings: self.force.configure(settings)
+        )
+        self.force.configure(force.value)
         self.limits = fixed_settings(self, MotionLimits(), "transforms")
         self.no_contact_ns = -1
         self.join = measurement_join()
@@ -103,6 +111,10 @@ class FilterNode(ManagedNode):
         self.estimates = self.subscribe(
             PoseWithCovarianceStamped, ESTIMATE, self._take_estimate, STATE, limit, raw=True, frame=frame
         )
+        self.force_out = self.publisher(ContactForce, topics.FORCE_BELIEF.name, STATE)
+        self.subscribe(
+            ContactForce, topics.FORCE_ESTIMATE.name, self._take_force, STATE, raw=True, frame=frame
+        )
         serve_reset(self, lambda: self._restart("service"), "the next measurement starts a new belief")
 
     def activate(self) -> None:
@@ -115,8 +127,10 @@ class FilterNode(ManagedNode):
 
     def _take_presence(self, data: bytes) -> None:
         stamp_ns, _, (_, _, in_contact, self.still, self.novelty) = read_presence(data)
-        if not in_contact and self.estimates is not None:
-            self.estimates.excuse()  # there are none without contact
+        if not in_contact:
+            self.force.reset()
+            if self.estimates is not None:
+                self.estimates.excuse()  # there are none without contact
         if not in_contact or stamp_ns > self.join.done_ns:  # else its estimate came first, as it should
             self._take("presence", stamp_ns, in_contact)
 
@@ -128,6 +142,16 @@ class FilterNode(ManagedNode):
             self._refuse(str(error))
             estimate = UNUSABLE  # the filter predicts in its place
         self._take("estimate", stamp_ns, estimate)
+
+    def _take_force(self, data: bytes) -> None:
+        stamp_ns, _, numbers = read_force(data)
+        estimate = ForceGaussian(np.array(numbers[:3]), np.reshape(numbers[3:12], (3, 3)))
+        if reason := self.force.step(stamp_ns, estimate):
+            self.count("forces refused")
+            self.warn("force", f"{topics.FORCE_ESTIMATE.name} refused: {reason}")
+        elif self.force.belief is not None:
+            belief = force_bytes(stamp_ns, self.sensor_frame, self.force.belief, self.force.nis)
+            self.force_out.publish(belief)
 
     def _take(self, source: str, stamp_ns: int, content: Any) -> None:
         """Keep one part of an event and process what has become complete."""
@@ -233,6 +257,7 @@ class FilterNode(ManagedNode):
         """Forget what waits, and what the diagnostics rest on."""
         self.join.clear()
         self.monitor.reset()
+        self.force.reset()
         self.no_contact_ns = -1
         self.still, self.novelty = False, math.nan  # of the last presence
         self.frame_out.clear()

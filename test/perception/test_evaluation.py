@@ -15,6 +15,7 @@ from scipy.stats import multivariate_normal
 
 from tactile_bringup.commands import evaluate as evaluate_command
 from tactile_perception.datasets.dataset import DatasetReport, open_folder
+from tactile_perception.estimating.contact_model import SURFACE
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.labels import euler_from_label, network_from_pose
 from tactile_perception.estimating.model_metadata import split_holdback, unseen_rows
@@ -26,7 +27,7 @@ from tactile_perception.evaluation.metrics import (
     by_predicted_sigma,
     consistency,
     coverage,
-    euler_of,
+    euler_error,
     mean_interval,
     moment_matched,
 )
@@ -108,7 +109,12 @@ def test_likelihood_and_joint_nees_agree_with_scipy_for_full_covariances():
 def test_errors_agree_with_an_independent_computation():
     labels, predictions = predictions_of(50)
     data = data_of(labels)
-    found = accuracy(labels, data.euler_mm_deg, predictions)
+    found = accuracy(
+        labels,
+        euler_error(data.euler_mm_deg, SURFACE.euler(predictions.mean)),
+        predictions,
+        SURFACE.units,
+    )
     mse, mae, euler = 0.0, np.zeros(6), np.zeros(6)
     for label, mean, pose in zip(labels, predictions.mean, data.euler_mm_deg, strict=True):
         mse += (
@@ -127,7 +133,7 @@ def test_euler_poses_of_many_are_those_of_each():
     means = rng.normal(size=(40, 6)) * [3, 3, 3, 0.4, 0.4, 0.1]
     means[:3, 3:] *= [[0.0], [1e-9], [1e-3]]
     expected = np.array([euler_from_label(mean) for mean in means])
-    np.testing.assert_allclose(euler_of(means), expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(SURFACE.euler(means), expected, rtol=1e-12, atol=1e-12)
 
 
 def test_coverage_counts_the_central_interval():

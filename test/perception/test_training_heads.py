@@ -10,7 +10,7 @@ from tactile_perception.estimating.estimator import Estimator  # noqa: E402
 from tactile_perception.estimating.model_metadata import ModelMetadata  # noqa: E402
 from tactile_perception.estimating.preprocessing import PreprocessingSettings  # noqa: E402
 from tactile_perception.training.export import export_onnx  # noqa: E402
-from tactile_perception.training.heads import make_head, mean_nll, softbound  # noqa: E402
+from tactile_perception.training.heads import make_head, softbound  # noqa: E402
 from tactile_perception.training.network import (  # noqa: E402
     ConvBlock,
     FirstBlock,
@@ -40,8 +40,10 @@ def test_loss_is_the_mean_negative_log_likelihood():
     rng = np.random.default_rng(1)
     labels, mean, sigma = rng.normal(size=(5, 6)), rng.normal(size=(5, 6)), rng.uniform(0.1, 3.0, (5, 6))
     expected = -norm.logpdf(labels, mean, sigma).sum(axis=1).mean()
-    loss = mean_nll(torch.tensor(labels), torch.tensor(mean), torch.tensor(1.0 / sigma))
-    assert loss.item() == pytest.approx(expected, rel=1e-6)
+    unbounded = 1.0 / sigma + np.log(-np.expm1(-1.0 / sigma))  # what softplus makes 1/sigma of
+    raw = torch.tensor(np.hstack([mean, unbounded]))
+    loss = make_head(NetworkSettings()).loss(torch.tensor(labels), raw)
+    assert loss.item() == pytest.approx(expected, rel=1e-5)
 
 
 def test_each_output_has_its_own_dropout():

@@ -25,7 +25,8 @@ PRESENCE = "tactile_msgs/msg/ContactPresence"
 STATE = "tactile_msgs/msg/ContactState"
 TRUTH = "tactile_msgs/msg/ContactTruth"
 PARAMETERS = "rcl_interfaces/msg/ParameterEvent"
-TYPES = (ESTIMATE, TRANSFORMS, PRESENCE, STATE, TRUTH)
+FORCE = "tactile_msgs/msg/ContactForce"
+TYPES = (ESTIMATE, TRANSFORMS, PRESENCE, STATE, TRUTH, FORCE)
 
 STORE = get_typestore(Stores.LATEST)
 for name in TYPES:
@@ -98,6 +99,11 @@ class Recording:
         head = header(stamp_ns, f"{arm}/tactile_sensor")
         message = make(PRESENCE, head, float(in_contact), 0.5, in_contact, False, np.nan)
         self.add(f"/{arm}/contact/presence", PRESENCE, message, stamp_ns)
+
+    def force(self, stamp_ns: int, mean, cov, arm: str = "arm") -> None:
+        head = header(stamp_ns, f"{arm}/tactile_sensor")
+        message = make(FORCE, head, np.array(mean, float), np.array(cov, float).ravel(), np.nan)
+        self.add(f"/{arm}/contact/wrench_estimate", FORCE, message, stamp_ns)
 
     def truth(self, stamp_ns: int, T_fs, arm: str = "arm") -> None:
         vector, nothing = make("geometry_msgs/msg/Vector3", 0.0, 0.0, 1.0), np.zeros(3)

@@ -19,6 +19,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from tactile_bringup.cli import main
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
 from tactile_filter.belief import invalid_belief
+from tactile_filter.force import ForceFilter, ForceGaussian, ForceSettings
 from tactile_records.bags.contents import Gap
 from tactile_records.bags.reader import read_bag
 from tactile_records.replay.inputs import read_inputs
@@ -27,7 +28,10 @@ from tactile_records.replay.report import RunResult
 from tactile_records.replay.run import Agreement, agreement, run_filter
 from tactile_records.replay.sweep import SINGLE, make_plans
 from tactile_records.replay.topics import ReplayError
-from tactile_records.runs.record import BeliefSeries
+from tactile_records.runs.export import tables
+from tactile_records.runs.from_bag import run_from_bag
+from tactile_records.runs.metrics import report
+from tactile_records.runs.record import BeliefSeries, CommandSeries
 
 
 def replayed(folder, settings=None, **options):
@@ -60,6 +64,29 @@ def test_beliefs_are_those_of_the_live_filter_to_the_bit(tmp_path):
     inputs, (run,) = replayed(source.write(tmp_path / "bag"))
     assert same(run.beliefs, believed(source)) and len(run.beliefs) == 60
     assert inputs.remarks == inputs.arms[0].remarks == []
+
+
+def test_a_recorded_force_is_filtered_anew_exported_and_reported(tmp_path):
+    source, cov, library, wanted = recording(touching=lambda k: k < 20 or k >= 30), np.eye(3), ForceFilter(), []
+    source.note["parameters"] = json.dumps({"/arm/filter": {"force.noise": 3.0}})
+    library.configure(ForceSettings(noise=3.0))
+    for k in range(60):
+        if 20 <= k < 30:
+            library.reset()
+            continue
+        stamp_ns, mean = START_NS + k * STEP_NS, np.array([0.1 * k, 0.0, 5.0])
+        source.force(stamp_ns, mean, cov)
+        assert library.step(stamp_ns, ForceGaussian(mean, cov)) == ""
+        wanted.append((stamp_ns, *library.belief.mean, *library.belief.cov.ravel()))
+    assert main(["replay", str(source.write(tmp_path / "bag")), "--out", str(tmp_path / "out")]) == 0
+    record = run_from_bag(read_bag(tmp_path / "out" / "bag"), "arm")
+    found = np.column_stack([record.force.stamp_ns, record.force.force, record.force.cov.reshape(-1, 9)])
+    assert np.array_equal(found, np.array(wanted)) and np.isnan(record.force.nis[[0, 20]]).all()
+    table = tables(record)["force"]
+    assert table["force_z_n"][0] == 5.0 and table["cov_z_z_n2"][0] == 1.0
+    record.command = CommandSeries(np.array([START_NS - 1]), phase=np.array([record.work]))
+    numbers = report(record)["force"]
+    assert numbers["mean_n"]["z"] == pytest.approx(5.0) and numbers["largest_n"] < 8.0
 
 
 def test_settings_count(tmp_path):

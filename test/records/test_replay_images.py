@@ -47,6 +47,7 @@ class Brightness:
             raise ModelError("broken.onnx: is not a usable ONNX model")
 
         self.preprocessor = Reduced()
+        self.force = None
         self.metadata = SimpleNamespace(layout=None, plain_depth=None, novelty=None)
 
     def estimate_prepared(self, prepared) -> PoseGaussian:

@@ -6,14 +6,15 @@ import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from messages import gaussian_from_message, image_message
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import Trigger
 
 from tactile_doubles.lying_camera import LYING_CAMERAS
 from tactile_geometry import se3
-from tactile_msgs.msg import ContactPresence, StageLatency
+from tactile_msgs.msg import ContactForce, ContactPresence, StageLatency
+from tactile_perception.estimating.contact_model import SURFACE, SURFACE_FORCE, ContactModel
 from tactile_perception.estimating.estimator import Estimator, shipped_model
 from tactile_perception.estimating.model_metadata import INPUT_NAME, INVERSE_SIGMA, MEAN, ModelMetadata
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
@@ -29,7 +30,7 @@ SECOND = 1_000_000_000
 REFERENCE_FRAMES = 3
 
 
-def write_model(path, outputs: int = 6) -> str:
+def write_model(path, outputs: int = 6, told: ContactModel = SURFACE) -> str:
     """A model that answers with the mean brightness, and with NaN for a nearly white image."""
     onnx = pytest.importorskip("onnx", reason="onnx writes the model of this test; `make test` installs it")
     side = PreprocessingSettings().size
@@ -50,7 +51,8 @@ def write_model(path, outputs: int = 6) -> str:
             {INVERSE_SIGMA} = Tile(sure, repeats)
         }}""")
     model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 18)], ir_version=8)
-    metadata = ModelMetadata(PreprocessingSettings(), training_data={"samples": 0}, validation={"loss": 0.0})
+    facts = {"training_data": {"samples": 0}, "validation": {"loss": 0.0}}
+    metadata = ModelMetadata(PreprocessingSettings(), contact_model=told, **facts)
     onnx.helper.set_model_props(model, metadata.to_properties())
     onnx.save(model, str(path))
     return str(path)
@@ -149,6 +151,35 @@ def test_an_image_becomes_the_estimate_of_the_library_with_the_same_stamp_and_th
     got = gaussian_from_message(message.pose)
     np.testing.assert_allclose(got.mean, expected.mean, atol=1e-12)
     np.testing.assert_allclose(got.cov, expected.cov, rtol=1e-9, atol=1e-15)
+
+
+def test_a_force_is_published_with_its_covariance_and_a_model_of_the_surface_has_none(graph, camera, tmp_path):
+    wrenches = camera.graph.collect(WrenchStamped, "contact/wrench")
+    assert camera.answered(camera.send()) and not wrenches
+    told = SURFACE_FORCE.narrowed(("z", "alpha", "beta", "Fx", "Fy", "Fz"), "here")
+    model = write_model(tmp_path / "force.onnx", 9, told)
+    settings = {"model": model, "presence.reference_frames": REFERENCE_FRAMES}
+    graph.start(ESTIMATOR, {**settings, **ANY_IMAGE, "diagnostics_period": 0.02})
+    images = graph.publisher(Image, "tactile/image", qos.IMAGE)
+    wrenches = graph.collect(WrenchStamped, "contact/wrench")
+    forces = graph.collect(ContactForce, "contact/wrench_estimate")
+    start_ns = time.time_ns() - SECOND
+    for number, picture in enumerate([dots()] * REFERENCE_FRAMES + [dots(5)], 1):
+        images.publish(image_message(start_ns + number * PERIOD_NS, SENSOR, picture))
+        graph.wait_for_count("estimator", "tactile/image messages", number)
+    assert graph.wait(lambda: len(wrenches) == len(forces) == 1)
+    (wrench,), (force,) = wrenches, forces
+    exposed_ns = start_ns + (REFERENCE_FRAMES + 1) * PERIOD_NS
+    for message in (wrench, force):
+        assert ns_from_time(message.header.stamp) == exposed_ns and message.header.frame_id == SENSOR
+    library = Estimator(model)
+    library.estimate(dots(5))
+    np.testing.assert_allclose(force.force, library.force.mean)
+    np.testing.assert_allclose(force.covariance.reshape(3, 3), np.diag([0.01] * 3), rtol=1e-6)
+    found = wrench.wrench.force
+    assert [found.x, found.y, found.z] == list(force.force) and wrench.wrench.torque.z == 0.0
+    said = graph.wait_for_report("estimator", lambda report: "contact model" in report.values).values
+    assert said["contact model"] == "surface_force" and said["not labelled"] == "x, y, gamma"
 
 
 def test_presence_compares_with_the_first_images_and_carries_the_stamp(camera):

@@ -1,6 +1,7 @@
 """The filter node: joins by stamp, waits for TF, predicts, resets, and counts what it drops."""
 
 import itertools
+import math
 import signal
 import time
 
@@ -13,9 +14,10 @@ from rosgraph_msgs.msg import Clock
 from tf2_msgs.msg import TFMessage
 
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
+from tactile_filter.force import ForceFilter, ForceGaussian
 from tactile_geometry import se3
 from tactile_geometry.gaussian import PoseGaussian
-from tactile_msgs.msg import ContactPresence, ContactState
+from tactile_msgs.msg import ContactForce, ContactPresence, ContactState
 from tactile_msgs.srv import ResetFilter
 from tactile_ros import qos
 from tactile_ros.conversions import (
@@ -248,6 +250,31 @@ def test_without_contact_there_is_no_belief_and_a_new_contact_starts_a_new_one(f
     assert state.flags & ContactState.NO_CONTACT and state.flags & ContactState.INVALID
     assert np.all(np.isnan(state.xi)) and np.all(np.isnan(state.covariance))
     assert feed.state(feed.step(2)).flags & ContactState.REINITIALIZED
+
+
+def test_forces_are_filtered_and_forgotten_without_contact(feed):
+    told = feed.graph.publisher(ContactForce, "contact/wrench_estimate")
+    beliefs = feed.graph.collect(ContactForce, "contact/wrench_belief")
+    library, cov = ForceFilter(), np.diag([0.1, 0.1, 0.4])
+
+    def send(k: int, force: list[float]) -> None:
+        stamp_ns, count = feed.stamp_ns + k * PERIOD_NS, len(beliefs)
+        head = header(stamp_ns, SENSOR)
+        told.publish(ContactForce(header=head, force=force, covariance=cov.ravel(), nis=math.nan))
+        assert feed.graph.wait(lambda: len(beliefs) > count)
+        assert library.step(stamp_ns, ForceGaussian(np.array(force), cov)) == ""
+        assert ns_from_time(beliefs[-1].header.stamp) == stamp_ns
+        np.testing.assert_allclose(beliefs[-1].force, library.belief.mean, rtol=1e-12)
+        np.testing.assert_allclose(beliefs[-1].covariance.reshape(3, 3), library.belief.cov, rtol=1e-12)
+
+    for k in range(4):
+        feed.step(k)
+        send(k, [0.1, -0.2, 3.0 + 0.1 * k])
+    assert np.isfinite(beliefs[-1].nis)
+    assert feed.state(feed.step(4, in_contact=False)).flags & ContactState.NO_CONTACT
+    library.reset()
+    send(5, [0.0, 0.0, 1.0])
+    assert np.isnan(beliefs[-1].nis) and beliefs[-1].force[2] == 1.0
 
 
 def test_without_contact_no_estimate_is_waited_for(feed):
