@@ -18,10 +18,7 @@ def config_folder() -> Path:
     else share/tactile_servoing/config of the first prefix in $AMENT_PREFIX_PATH, or of Python itself, that
     has it.
 
-    Raises
-    ------
-    FileNotFoundError
-        With the folders tried, if none exists.
+    Raises `FileNotFoundError` with the folders tried, if none exists.
     """
     folders = _candidates()
     for folder in folders:
@@ -33,10 +30,7 @@ def config_folder() -> Path:
 def config_path(name: str) -> Path:
     """The path of a configuration file by its name in the folder: `config_path("scenes/ramp.yaml")`.
 
-    Raises
-    ------
-    FileNotFoundError
-        With the names that exist beside it, if there is no such file.
+    Raises `FileNotFoundError` with the names that exist beside it, if there is no such file.
     """
     path = config_folder() / name
     if not path.is_file():
@@ -50,10 +44,7 @@ def config_path(name: str) -> Path:
 def packaged_path(name: str) -> Path:
     """As `config_path`; what a folder of the user's own does not have is taken from the package.
 
-    Raises
-    ------
-    FileNotFoundError
-        With the folders tried, if none has it.
+    Raises `FileNotFoundError` with the folders tried, if none has it.
     """
     folders = [*_candidates(), *_packaged()]
     for folder in folders:
@@ -67,10 +58,7 @@ def named_file(kind: str, name_or_path: str | Path) -> Path:
 
     `kind` is the folder's name without its s.
 
-    Raises
-    ------
-    FileNotFoundError
-        With the packaged names if there is none.
+    Raises `FileNotFoundError` with the packaged names if there is none.
     """
     text = str(name_or_path)
     if text.endswith((".yaml", ".yml")):

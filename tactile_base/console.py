@@ -18,6 +18,12 @@ def say(console: Console, text: str, style: str | None = None) -> None:
     console.print(Text(text, style or ""), soft_wrap=True)
 
 
+def wide_console(width: int = 160) -> Console:
+    """On standard output; into a file or pipe, tables are not broken to the 80 columns of no terminal."""
+    console = Console()
+    return console if console.is_terminal else Console(width=width)
+
+
 def lasting_console() -> Console:
     """On standard output; falls silent where its terminal is closed: who moves an arm has to go on."""
     return Console(file=_Lasting(sys.stdout))  # type: ignore[arg-type]

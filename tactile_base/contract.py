@@ -17,18 +17,12 @@ class Contract:
 
     Attributes
     ----------
-    made_from : tuple of str or None
-        What it is called with, in this order; None: it is no class, and never called.
-    methods : mapping
-        Method -> what it is called with, in this order.
-    settings : bool
-        Whether it has a `settings_class`.
-    attributes : tuple of str
-        What else it has, for all of its objects.
-    base : callable
-        Gives what it has to be a subclass of; or an object of, where it is no class.
-    also : callable
-        What else is wrong with one that has all of this.
+    made_from : what it is called with, in this order; None: it is no class, and never called
+    methods : method -> what it is called with, in this order
+    settings : whether it has a `settings_class`
+    attributes : what else it has, for all of its objects
+    base : gives what it has to be a subclass of; or an object of, where it is no class
+    also : what else is wrong with one that has all of this
     """
 
     made_from: tuple[str, ...] | None = ()

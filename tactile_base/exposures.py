@@ -80,10 +80,7 @@ def gray_of_jpeg(data: bytes | memoryview | Pixels) -> Pixels:
     that is lost on the bus leaves a picture of which a part has moved. It knows, and says so here. Up to
     eight bytes too many between two segments are what some cameras pad with.
 
-    Raises
-    ------
-    DamagedJpeg
-        If it is cut, is no JPEG, or its data do not make the whole image and nothing else.
+    Raises `DamagedJpeg` if it is cut, is no JPEG, or its data do not make the whole image and nothing else.
     """
     data = np.frombuffer(data, np.uint8) if not isinstance(data, np.ndarray) else data.ravel()
     # padded with zeros by some devices

@@ -27,12 +27,8 @@ def check_regular(path: Path) -> None:
 def read_text(path: Path) -> str:
     """The text of a file.
 
-    Raises
-    ------
-    OSError
-        If it cannot be read, is no regular file, or is longer than `LARGEST_TEXT`.
-    UnicodeDecodeError
-        If it is not UTF-8.
+    Raises `OSError` if it cannot be read, is no regular file, or is longer than `LARGEST_TEXT`;
+    `UnicodeDecodeError` if it is not UTF-8.
     """
     check_regular(path)
     size = path.stat().st_size
@@ -44,10 +40,8 @@ def read_text(path: Path) -> str:
 def parse_json(text: str) -> Any:
     """The value of a text in JSON; `ValueError` where it has none, or is nested too deeply."""
     try:
-        return json.loads(text, parse_int=_whole)
+        return json.loads(
+            text, parse_int=lambda whole: (int if len(whole) <= _LONGEST_WHOLE else float)(whole)
+        )
     except RecursionError:
         raise ValueError("nested too deeply") from None
-
-
-def _whole(text: str) -> int | float:
-    return int(text) if len(text) <= _LONGEST_WHOLE else float(text)

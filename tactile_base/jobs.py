@@ -87,10 +87,8 @@ def run_jobs(
 
     Parameters
     ----------
-    tell : callable, optional
-        Gets a sentence when a process was killed.
-    apart : bool
-        Each job has a process that does nothing else, on a cluster too, whose workers are threads.
+    tell : gets a sentence when a process was killed
+    apart : each job has a process that does nothing else, on a cluster too, whose workers are threads
 
     Raises
     ------
@@ -282,10 +280,7 @@ class JobRows:
     A row is written whole, at once: an interruption costs the jobs under way. A last line that ends early,
     as where the power failed, is cut off.
 
-    Raises
-    ------
-    ValueError
-        If a line of the file is no row, with its number.
+    Raises `ValueError` if a line of the file is no row, with its number.
     """
 
     def __init__(self, path: Path) -> None:

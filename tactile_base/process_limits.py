@@ -32,10 +32,8 @@ class Needs:
 
     Attributes
     ----------
-    files : int
-        Files that one process has open at once.
-    address_space : int
-        Bytes of one process, without those for each core.
+    files : files that one process has open at once
+    address_space : bytes of one process, without those for each core
     """
 
     files: int

@@ -34,14 +34,10 @@ class Entry:
 
     Attributes
     ----------
-    name : str
-        As users say it.
-    place : str
-        "module:attribute".
-    package : str
-        The distribution that brings it.
-    shadowed_by : str
-        The one whose entry of that name is used in place of this; '' for none.
+    name : as users say it
+    place : "module:attribute"
+    package : the distribution that brings it
+    shadowed_by : the one whose entry of that name is used in place of this; '' for none
     """
 
     name: str
@@ -55,14 +51,10 @@ class Registry(Generic[T]):
 
     Parameters
     ----------
-    kind : str
-        What an entry is, for messages.
-    group : str
-        Entry-point group of other packages' entries.
-    builtin : mapping
-        Name -> "module:attribute" of this package's entries; another package cannot replace them.
-    contract : Contract
-        What entries have to offer; those of other packages are held against it when they are loaded.
+    kind : what an entry is, for messages
+    group : entry-point group of other packages' entries
+    builtin : name -> "module:attribute" of this package's entries; another package cannot replace them
+    contract : what entries have to offer; those of other packages are held against it when they are loaded
     """
 
     def __init__(
@@ -91,14 +83,15 @@ class Registry(Generic[T]):
     def load(self, name: str) -> T:
         """What the name stands for.
 
-        Raises
-        ------
-        SettingError
-            With the names that there are, or with what keeps an entry from being imported or used, and where.
+        Raises `SettingError` with the names that there are, or with what keeps an entry from being imported
+        or used, and where.
         """
         if name in self._builtin:
             return self.load_place(self._builtin[name], name)
-        found = self.load_place(place := self._elsewhere(name), name)
+        place = next((point.value for point in self._points() if point.name == name), None)
+        if place is None:
+            raise SettingError(f"{self.kind}: {unknown_name(name, list(self.names()))}")
+        found = self.load_place(place, name)
         if objections := self.contract.objections(found):
             raise SettingError(f"{self.kind} '{name}': {place} {'; '.join(objections)}")
         return found
@@ -120,9 +113,3 @@ class Registry(Generic[T]):
 
     def _points(self) -> list[EntryPoint]:
         return sorted(entry_points(group=self.group), key=lambda point: (point.name, point.value))
-
-    def _elsewhere(self, name: str) -> str:
-        for point in self._points():
-            if point.name == name:
-                return point.value
-        raise SettingError(f"{self.kind}: {unknown_name(name, list(self.names()))}")

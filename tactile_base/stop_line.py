@@ -34,14 +34,10 @@ class Word(NamedTuple):
 
     Attributes
     ----------
-    arm : str
-        Its namespace.
-    domain, pid : int
-        ROS domain and process of its node.
-    rests : bool
-        Whether it is stopped and at rest.
-    text : str
-        What it does, for a person.
+    arm : its namespace
+    domain, pid : ROS domain and process of its node
+    rests : whether it is stopped and at rest
+    text : what it does, for a person
     """
 
     arm: str
@@ -54,10 +50,8 @@ class Word(NamedTuple):
 def folder() -> str:
     """Where the lines of this user's arms are; made for this user alone if it is not there.
 
-    Raises
-    ------
-    PermissionError
-        If somebody else has made it, or may write to it: what lies there is not to be believed.
+    Raises `PermissionError` if somebody else has made it, or may write to it: what lies there is not to be
+    believed.
     """
     path = os.environ.get("TACTILE_STOP_FOLDER") or f"/tmp/tactile_servoing-{os.getuid()}"
     with contextlib.suppress(FileExistsError):
@@ -75,14 +69,10 @@ class StopLine:
 
     Parameters
     ----------
-    arm : str
-        The arm's namespace.
-    domain : int
-        Its ROS domain.
-    stop : callable
-        Stops the arm at once; is given a reason.
-    look : callable
-        Whether the arm is stopped and at rest, and what it does in words.
+    arm : the arm's namespace
+    domain : its ROS domain
+    stop : stops the arm at once; is given a reason
+    look : whether the arm is stopped and at rest, and what it does in words
     """
 
     _numbers = iter(range(1 << 30))

@@ -18,14 +18,10 @@ class Topic:
 
     Attributes
     ----------
-    name : str
-        Below an arm's namespace, or absolute.
-    type : str
-        `package/msg/Name`; of what an action publishes `package/action/Name_FeedbackMessage`.
-    qos : str
-        "reliable"; "latched": reliable, and late subscribers get the last message; or "sensor": best effort.
-    publisher : str
-        Who publishes it; empty where the table does not say, as for topics that users name.
+    name : below an arm's namespace, or absolute
+    type : `package/msg/Name`; of what an action publishes `package/action/Name_FeedbackMessage`
+    qos : "reliable"; "latched": reliable, and late subscribers get the last message; or "sensor": best effort
+    publisher : who publishes it; empty where the table does not say, as for topics that users name
     """
 
     name: str

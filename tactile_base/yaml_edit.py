@@ -22,10 +22,8 @@ def with_values(text: str, keys: Sequence[str], values: Mapping[str, Any]) -> st
     A key that is there gets the new value in its place, others are added to the mapping. The mapping itself
     may be missing, what is around it not.
 
-    Raises
-    ------
-    YamlEditError
-        If one of the keys leads nowhere, or the mapping around a missing one is written in braces.
+    Raises `YamlEditError` if one of the keys leads nowhere, or the mapping around a missing one is written in
+    braces.
     """
     try:
         node = yaml.compose(text, Loader=yaml.SafeLoader)

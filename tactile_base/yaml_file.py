@@ -43,14 +43,10 @@ class Section:
 
     Attributes
     ----------
-    path : Path
-        The file.
-    line : int
-        Line of the mapping, from 1.
-    name : str
-        How messages call it ("arms.left"); empty for the whole file.
-    values : dict
-        Its content; mappings in it are sections too.
+    path : the file
+    line : line of the mapping, from 1
+    name : how messages call it ("arms.left"); empty for the whole file
+    values : its content; mappings in it are sections too
     """
 
     def __init__(self, path: Path, line: int, values: dict[str, Any], lines: dict[str, int]) -> None:
@@ -207,7 +203,6 @@ class _Loader(yaml.SafeLoader):
 
 
 def _plain_scalar(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> Any:
-    """A number or a truth value."""
     try:
         if len(node.value) <= _LONGEST_NUMBER:
             return yaml.SafeLoader.yaml_constructors[node.tag](loader, node)
@@ -316,10 +311,7 @@ def typed_value(text: str, what: str) -> Any:
 def values_of(text: str, what: str) -> dict[str, Any]:
     """The names and values that `text_of` wrote, or that somebody typed; an empty text holds none.
 
-    Raises
-    ------
-    SettingError
-        If it is not a mapping in YAML; the message begins with `what`.
+    Raises `SettingError` if it is not a mapping in YAML; the message begins with `what`.
     """
     values = typed_value(text, what)
     if values is None:
@@ -340,10 +332,7 @@ def _plain(value: Any) -> Any:
 def name_and_value(change: str, example: str) -> tuple[str, Any]:
     """Split NAME=VALUE; the value is read as YAML.
 
-    Raises
-    ------
-    SettingError
-        If there is no "=", or the value is no YAML.
+    Raises `SettingError` if there is no "=", or the value is no YAML.
     """
     name, equals, text = change.partition("=")
     if not equals:

@@ -169,15 +169,12 @@ def _place(arm: ArmScene, state: ArmState) -> Findings:
 def check_motion(staged: StagedArm) -> Findings:
     """Measured in the air: direction, lag, stops; each as soon as it is known.
 
-    Raises
-    ------
-    RuntimeError
-        If a command is refused, with the reason; ends with the arm at rest.
+    Raises `RuntimeError` if a command is refused, with the reason; ends with the arm at rest.
     """
     arm, stage = staged.arm, staged.stage
     staged.drive()
     home = staged.pose.copy()
-    ends = home @ _shift(-ROOM)
+    ends = home @ se3.exp(_ahead(-ROOM))
     if reason := arm.out_of_bounds(ends[:3, 3]):
         yield Finding(FAILED, "room", f"no {1e3 * ROOM:.0f} mm to move away from what it points at: {reason}")
         return
@@ -198,7 +195,6 @@ def check_motion(staged: StagedArm) -> Findings:
 
 
 def _direction(staged: StagedArm, home: Array) -> Findings:
-    """Whether it went where it was told to."""
     alarm, went = staged.stage.alarm, se3.inverse(home) @ staged.pose
     away, aside = 1e3 * -went[2, 3], 1e3 * np.linalg.norm(went[:2, 3])
     text = f"told to go away by {1e3 * SPEED * SECONDS:.0f} mm it went {away:.1f}, and {aside:.1f} aside"
@@ -255,7 +251,6 @@ def _silence_row(arm: ArmScene, staged: StagedArm) -> Finding:
 
 
 def _go_home(staged: StagedArm, home: Array) -> None:
-    """Back to where it began."""
     ahead = (se3.inverse(staged.pose) @ home)[2, 3]
     if abs(ahead) > SLACK:
         staged.go(_ahead(np.copysign(SPEED, ahead)), abs(ahead) / SPEED)
@@ -266,10 +261,6 @@ def _ahead(speed: float) -> Array:
     return np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0])
 
 
-def _shift(z: float) -> Array:
-    return se3.exp(_ahead(z))
-
-
 # ---- a computer that hangs ----
 
 
@@ -278,10 +269,8 @@ def check_hang(reopen: Callable[[], StagedArm], command: list[str], home: Array)
 
     Parameters
     ----------
-    reopen : callable
-        Opens the arm, afterwards.
-    command : list of str
-        Runs `move_until_killed` in a process of its own.
+    reopen : opens the arm, afterwards
+    command : runs `move_until_killed` in a process of its own
     home : ndarray (4, 4)
         Where the arm goes in the end.
     """

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.task_file import NamedGoal, Role, Task
 from tactile_control.tasks.touching import TouchingGoal, TouchingTaskSettings
+from tactile_records.bags.reader import read_bag
+from tactile_records.runs.from_bag import run_from_bag
 from tactile_records.runs.record import RunRecord
-
-if TYPE_CHECKING:
-    from tactile_scene.scene import Scene
+from tactile_scene.scene import Scene
 
 TASK = "touching"
 #: What each calibration has the arm do.
@@ -41,14 +42,9 @@ def task_of(scene: Scene, arm: str, what: str, **changes: Any) -> Task:
 
 def simulated(scene: Scene, arm: str, what: str, seed: int = 0, **changes: Any) -> RunRecord:
     """The run of a simulated arm, in this process."""
-    from tactile_bringup.offline import OfflineOptions, run_offline
-
     return run_offline(scene, task_of(scene, arm, what, **changes), OfflineOptions(seed=seed))
 
 
 def recorded(path: Path, arm: str) -> RunRecord:
     """The run of an arm from a bag, or from the record (run.npz) that `tactile simulate` keeps."""
-    from tactile_records.bags.reader import read_bag
-    from tactile_records.runs.from_bag import run_from_bag
-
     return RunRecord.load(path) if path.suffix == ".npz" else run_from_bag(read_bag(path), arm)

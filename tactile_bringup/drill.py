@@ -55,19 +55,14 @@ class Outcome:
 
     Attributes
     ----------
-    fault, arm : str
-        What went wrong, and whose; empty: all arms'.
-    known, rest : float
-        From its beginning until a task stopped or failed, and until all arms were at rest for good, s; inf:
-        never.
-    fastest : float
-        Largest speed of a controlled frame since then, m/s.
+    fault, arm : what went wrong, and whose; empty: all arms'
+    known, rest : from its beginning until a task stopped or failed, and until all arms were at rest for good,
+        s; inf: never
+    fastest : largest speed of a controlled frame since then, m/s
     way, deepest, deeper : float
         Of the tip since then, m: its path, its depth, and how much more that is than before.
-    off : float
-        How far from the end of the honest run this one ended, m; inf where it did not end well.
-    reason : str
-        What the user reads; empty where the task ended well.
+    off : how far from the end of the honest run this one ended, m; inf where it did not end well
+    reason : what the user reads; empty where the task ended well
     """
 
     fault: str
@@ -96,8 +91,7 @@ class Drill:
 
     Attributes
     ----------
-    after : float or None
-        How long the task has been at its own work, s; None: from the very beginning.
+    after : how long the task has been at its own work, s; None: from the very beginning
     """
 
     scene: Scene
@@ -108,10 +102,7 @@ class Drill:
     def run(self, chosen: Mapping[str, Fault], arms: tuple[str, ...] = ()) -> Iterator[Outcome]:
         """The outcome of each fault, of each of these arms in turn; of all at once where none is named.
 
-        Raises
-        ------
-        SettingError
-            If the task does not end well where nothing goes wrong.
+        Raises `SettingError` if the task does not end well where nothing goes wrong.
         """
         truth = Lies()
         honest = self._records(truth)

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from tactile_base.settings import SettingError
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.staged_arm import WATCHED, StagedArm, arm_of
+from tactile_scene.arm import LONGEST_CALL, ArmState, is_at_rest
+from tactile_scene.camera import CameraFrame
+from tactile_scene.scene_file import load_scene
 
 Array = NDArray[np.float64]
 Problems = Iterator[str]
@@ -22,8 +25,6 @@ LISTEN = 2.0  # s
 
 def check_camera(kind: Any, scene: str, arm: str) -> Problems:
     """Two seconds of its frames, and its end."""
-    from tactile_scene.camera import CameraFrame
-
     one = _arm(scene, arm)
     if one.sensor is None:
         raise SettingError(f"arm '{one.name}' has no sensor in this scene")
@@ -71,8 +72,6 @@ def _images(frames: list[Any], kept: list[bytes]) -> Problems:
 
 def check_arm(kind: Any, scene: str, arm: str, moves: bool) -> Problems:
     """Two seconds of its states, calls of zero twists and stops, and its end; with `moves`, a millimetre."""
-    from tactile_scene.arm import LONGEST_CALL
-
     one = _arm(scene, arm)
     given = one.driver_settings
     settings = given.checked(kind.settings_class, given.values)
@@ -98,7 +97,6 @@ def check_arm(kind: Any, scene: str, arm: str, moves: bool) -> Problems:
 
 
 def _states(arm: Any, states: list[tuple[int, Any]], at_rest: bool) -> Problems:
-    from tactile_scene.arm import ArmState, is_at_rest
 
     if len(states) < 3:
         yield f"{len(states)} states came in {LISTEN:g} s"
@@ -162,9 +160,6 @@ def _listen(enough: Callable[[], bool]) -> None:
 
 
 def _arm(scene: str, arm: str) -> Any:
-    """The arm of that name in a scene, or its only one."""
-    from tactile_scene.scene_file import load_scene
-
     if not scene:
         raise SettingError("a driver is tried on an arm of a scene: --scene my_cell.yaml")
     return arm_of(load_scene(scene), arm)

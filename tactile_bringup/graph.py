@@ -147,10 +147,8 @@ class Graph:
     ----------
     task, scene : names, for people
     arms : arms that run something
-    plans : tuple of ArmPlan
-        What each of them does.
-    remarks : tuple of str
-        What whoever starts it has to know.
+    plans : what each of them does
+    remarks : what whoever starts it has to know
     """
 
     task: str
@@ -237,7 +235,6 @@ def _topics(arms: Sequence[ArmScene]) -> list[Topic]:
 
 
 def _node(name: str, namespace: str, parameters: Mapping[str, Any]) -> NodeProcess:
-    """One of `tactile_ros.nodes`, under its own name."""
     return NodeProcess(name, namespace, f"tactile_ros.nodes.{name}_node", name, parameters)
 
 

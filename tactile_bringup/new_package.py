@@ -29,12 +29,8 @@ def write_package(kind: str, name: str, folder: Path) -> list[Path]:
     list of Path
         Its files.
 
-    Raises
-    ------
-    SettingError
-        If there is no such kind, or the name cannot be that of a module.
-    FileExistsError
-        If there is something of that name already.
+    Raises `SettingError` if there is no such kind, or the name cannot be that of a module; `FileExistsError`
+    if there is something of that name already.
     """
     if kind not in ENTRY_POINTS:
         raise SettingError(f"kind: {unknown_name(kind, list(ENTRY_POINTS))}")

@@ -121,8 +121,7 @@ def run_arms_offline(
 
     Parameters
     ----------
-    scene, task
-        Loaded, or by name (config/scenes, config/tasks).
+    scene, task : loaded, or by name (config/scenes, config/tasks)
     progress : called with arm, goal and command after each step of a controller
     log : makes the log of each arm, as `OfflineBag.log` does
     """

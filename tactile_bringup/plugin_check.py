@@ -26,10 +26,31 @@ from tactile_base.registry import Registry
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.driver_check import check_arm, check_camera, not_rigid, numbers
+from tactile_control.phases import Command, StampedPose, StampedPresence, TaskInputs
+from tactile_control.tasks import TASKS
+from tactile_doubles.rehearsal import DOUBLES
+from tactile_perception.estimating.contact_model import CONTACT_MODELS
+from tactile_records.runs.report import REPORTS
+from tactile_scene.arm import ARMS
+from tactile_scene.camera import CAMERAS
+from tactile_scene.motions import MOTIONS
+from tactile_scene.scene_file import load_scene
+from tactile_scene.shapes import SHAPES
 
 Array = NDArray[np.float64]
 Problems = Iterator[str]
 
+#: All of them.
+REGISTRIES: tuple[Registry[Any], ...] = (
+    TASKS,
+    REPORTS,
+    ARMS,
+    DOUBLES,
+    CAMERAS,
+    SHAPES,
+    MOTIONS,
+    CONTACT_MODELS,
+)
 POINTS, STEP = 400, 1e-6  # m: for derivatives
 SMOOTH = 0.97  # part of the points at which a normal has to be the gradient: edges and medial axes have none
 SPEED, TURN_RATE = 5.0, 50.0  # m/s, rad/s: a body that goes faster jumps
@@ -55,20 +76,17 @@ def check_plugin(
 
     Parameters
     ----------
-    kind : str
-        As `tactile plugins` says it: "task", "shape", "body motion", "arm driver", "camera driver", ...
-    plugin : str
-        Its name, or "module:attribute" of one that is not installed yet.
-    settings : mapping
-        Of its settings class, in place of the defaults. Of a driver they are the scene's.
-    goal : mapping
-        Of a task: what its goal says.
-    scene, arm
-        Of a driver: the scene and the arm that it is opened for.
-    moves : bool
-        Whether an arm may be moved: 1 mm along z of its controlled frame, away from the surface, and back.
+    kind : as `tactile plugins` says it: "task", "shape", "body motion", "arm driver", "camera driver", ..
+    plugin : its name, or "module:attribute" of one that is not installed yet
+    settings : of its settings class, in place of the defaults. Of a driver they are the scene's.
+    goal : of a task: what its goal says
+    scene, arm : of a driver: the scene and the arm that it is opened for
+    moves : whether an arm may be moved: 1 mm along z of its controlled frame, away from the surface, and back
     """
-    registry = _registry(kind)
+    by_kind = {registry.kind: registry for registry in REGISTRIES}
+    if kind not in by_kind:
+        raise SettingError(f"kind: {unknown_name(kind, list(by_kind))}")
+    registry = by_kind[kind]
     found = registry.load_place(plugin, plugin) if ":" in plugin else registry.load(plugin)
     if problems := registry.contract.objections(found):
         return problems
@@ -97,10 +115,10 @@ def kind_of(plugin: str) -> str:
 
     A report has the name of its task, and a double that of its driver: the name means these.
     """
-    named = [registry.kind for registry in _registries() if plugin in registry.names()]
+    named = [registry.kind for registry in REGISTRIES if plugin in registry.names()]
     kinds = [kind for kind in named if kind not in NAMESAKES] or named
     if len(kinds) != 1:
-        known = ", ".join(registry.kind for registry in _registries())
+        known = ", ".join(registry.kind for registry in REGISTRIES)
         what = f"several have that name ({', '.join(kinds)})" if kinds else "no plug-in has that name"
         raise SettingError(f"{plugin}: {what}: say --kind, one of {known}")
     return kinds[0]
@@ -191,8 +209,6 @@ bodies:
 
 def check_motion(kind: Any, values: Mapping[str, Any]) -> Problems:
     """Two seconds of a box in a scene with one arm, which stands still and does not touch it."""
-    from tactile_scene.scene_file import load_scene
-
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cell.yaml"
         path.write_text(_SCENE)
@@ -249,8 +265,6 @@ def check_task(kind: Any, values: Mapping[str, Any], wanted: Mapping[str, Any]) 
 
 def _steps(task: Any, inputs: bool) -> Problems:
     """Three seconds, then a stop, after which it has to end within a minute of its own time."""
-    from tactile_control.phases import Command, StampedPose, StampedPresence, TaskInputs
-
     now_ns, period_ns, took = SECOND_NS, SECOND_NS // 120, list[float]()
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     for number in range(360 + 60 * 120):
@@ -305,16 +319,3 @@ class _Stopwatch:
     def _now() -> tuple[float, float, int]:
         waits = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
         return time.perf_counter(), time.thread_time(), waits
-
-
-def _registries() -> list[Registry[Any]]:
-    from tactile_bringup.commands.plugins import registries
-
-    return registries()
-
-
-def _registry(kind: str) -> Registry[Any]:
-    by_kind = {registry.kind: registry for registry in _registries()}
-    if kind not in by_kind:
-        raise SettingError(f"kind: {unknown_name(kind, list(by_kind))}")
-    return by_kind[kind]

@@ -82,7 +82,9 @@ def arm_plans(task: Task, scene: Scene, only: str | None = None, goals: Sequence
                     f"task {task.name}: arm '{arm}' has two roles, {plans[arm].role.name} and {role.name}"
                 )
             plans[arm] = ArmPlan(arm, role, _begun(role, scene.arms[arm]))
-    _check_goals(list(plans.values()), goals)
+    known = {goal.name for plan in plans.values() for goal in plan.goals}
+    if unknown := [name for name in goals if name not in known]:
+        raise SettingError(f"goal '{unknown[0]}' does not exist; valid: {', '.join(sorted(known))}")
     chosen = [_only_goals(plan, goals) for plan in plans.values() if only is None or plan.arm == only]
     if not chosen:
         where = f"--arm {only}" if only is not None else f"scene {scene.name}"
@@ -124,13 +126,6 @@ def check_places(goal: NamedGoal, arm: ArmScene) -> None:
     for place in places:
         if reason := arm.out_of_bounds(place):
             raise SettingError(f"goal '{goal.name}': {reason}")
-
-
-def _check_goals(plans: Sequence[ArmPlan], wanted: Sequence[str]) -> None:
-    known = {goal.name for plan in plans for goal in plan.goals}
-    for name in wanted:
-        if name not in known:
-            raise SettingError(f"goal '{name}' does not exist; valid: {', '.join(sorted(known))}")
 
 
 def _only_goals(plan: ArmPlan, wanted: Sequence[str]) -> ArmPlan:

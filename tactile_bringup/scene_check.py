@@ -16,10 +16,7 @@ from tactile_sim.motions import make_motion
 def check_bodies(scene: Scene) -> list[str]:
     """What they do not keep of their contracts, each with the plug-in's name and file; none of ours is tried.
 
-    Raises
-    ------
-    SettingError
-        For what no run can be made with.
+    Raises `SettingError` for what no run can be made with.
     """
     remarks = []
     for kind, problems in _tries(scene):

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_base.yaml_edit import with_values
+from tactile_bringup.staged_arm import arm_of
 from tactile_scene.scene_file import load_scene
 
 
@@ -14,12 +15,7 @@ def write_into(path: Path, arm: str | None, values: dict[str, Any]) -> None:
 
     Raises `ValueError` or `OSError` with what is wrong.
     """
-    arms = list(load_scene(path).arms)
-    if arm is None and len(arms) > 1:
-        raise ValueError(f"{path}: --arm must name one of {', '.join(arms)}")
-    name = arm or arms[0]
-    if name not in arms:
-        raise ValueError(f"{path}: there is no arm '{name}'; arms: {', '.join(arms)}")
+    name = arm_of(load_scene(path), arm).name
     candidate = path.with_name(f".{path.stem}.new.yaml")
     try:
         candidate.write_text(with_values(path.read_text(), ["arms", name, "sensor"], values))

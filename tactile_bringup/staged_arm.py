@@ -23,13 +23,21 @@ SETTLES = 0.1  # s of zeros, as from every new commander
 WATCHED = 0.6  # s, after which an arm that was stopped has come to rest
 
 
-def arm_of(scene: Scene, name: str = "") -> ArmScene:
-    """The arm of that name in a scene, or its only one; raises `SettingError`."""
-    if not name and len(scene.arms) == 1:
-        return next(iter(scene.arms.values()))
-    if name not in scene.arms:
-        raise SettingError(f"arm: {unknown_name(name, list(scene.arms))}")
-    return scene.arms[name]
+def arm_of(
+    scene: Scene,
+    name: str | None = None,
+    able: Callable[[ArmScene], bool] = lambda arm: True,
+    what: str = "an arm",
+) -> ArmScene:
+    """The arm of that name in a scene, or the only `able` one; `SettingError` says `what` it has to be."""
+    there = {arm.name: arm for arm in scene.arms.values() if able(arm)}
+    if not name and len(there) == 1:
+        return next(iter(there.values()))
+    if name not in there:
+        near = f" {unknown_name(name, [*there])}" if name and there else ""
+        listed = near or f" there are: {', '.join(there) or 'none'}"
+        raise SettingError(f"{scene.path}: --arm must name {what};{listed}")
+    return there[name]
 
 
 @dataclass(frozen=True)
@@ -38,10 +46,8 @@ class Stopped:
 
     Attributes
     ----------
-    seconds : float
-        Until it was at rest, by the stamps of its states; inf: it was not.
-    way : float
-        That it still went, m.
+    seconds : until it was at rest, by the stamps of its states; inf: it was not
+    way : that it still went, m
     """
 
     seconds: float
@@ -53,8 +59,7 @@ class StagedArm:
 
     Parameters
     ----------
-    open_driver : callable
-        Opens a driver that reports to what it is given.
+    open_driver : opens a driver that reports to what it is given
     """
 
     def __init__(
@@ -103,10 +108,7 @@ class StagedArm:
     def go(self, twist: Array, seconds: float) -> int:
         """Command a twist (6,) for so long, after zeros; when it began, ns.
 
-        Raises
-        ------
-        RuntimeError
-            If it is refused, with the reason.
+        Raises `RuntimeError` if it is refused, with the reason.
         """
         begun, started = 0, time.monotonic()
         while (elapsed := time.monotonic() - started) < SETTLES + seconds:

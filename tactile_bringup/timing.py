@@ -29,7 +29,8 @@ LISTEN = 5.0  # s
 PERIOD = 0.001  # s, of what is woken
 LATE = 1.0  # ms: a machine that wakes later than this has to do with something else
 GOOD, BAD = 30.0, 100.0  # ms from exposure to twist: what high gains bear, and what stops the arm
-LAUNCH = [sys.executable, "-m", "tactile_bringup.cli", "launch"]
+CLI = [sys.executable, "-m", "tactile_bringup.cli"]
+LAUNCH = [*CLI, "launch"]
 
 
 def check_machine() -> Findings:
@@ -122,8 +123,13 @@ def measured(task: Sequence[str], command: Sequence[str] = LAUNCH) -> dict[str, 
     with tempfile.TemporaryDirectory() as folder:
         launch = [*command, *task, "--headless", "--out", folder, "--record", f"{folder}/bag"]
         done = subprocess.run(launch, capture_output=True, text=True, check=False)
-        report = [*LAUNCH[:-1], "report", f"{folder}/bag", "--out", f"{folder}/report"]
-        subprocess.run(report, capture_output=True, check=False)
-        found = next(Path(folder, "report").rglob("report.json"), None)
-        values = json.loads(found.read_text()) if found is not None else {}
+        values = reported(Path(folder))
     return values | {"exit": done.returncode, "end": (done.stdout + done.stderr).strip()[-200:]}
+
+
+def reported(folder: Path) -> dict[str, Any]:
+    """What `tactile report` has to say of the recording `bag` in a folder; empty where that is nothing."""
+    report = [*CLI, "report", f"{folder}/bag", "--out", f"{folder}/report"]
+    subprocess.run(report, capture_output=True, check=False)
+    found = next((folder / "report").rglob("report.json"), None)
+    return json.loads(found.read_text()) if found is not None else {}

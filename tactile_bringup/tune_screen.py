@@ -81,12 +81,9 @@ class TuneScreen:
 
     Parameters
     ----------
-    ask : callable
-        Has nodes take what a request wants; what came of it is told by `finished`.
-    title : str
-        Where all of this is.
-    find : str
-        Only what has this text in it is shown.
+    ask : has nodes take what a request wants; what came of it is told by `finished`
+    title : where all of this is
+    find : only what has this text in it is shown
 
     Attributes
     ----------
@@ -275,7 +272,6 @@ class TuneScreen:
         return setting_key(row) == self._chosen
 
     def _details(self) -> RenderableType:
-        """All that is known of the chosen setting."""
         setting = self.tuning.settings.get(self._chosen)
         if setting is None or self._text:
             return Text(" ")  # rich takes an empty one for none

@@ -32,12 +32,8 @@ def saved(tuning: Tuning, where: Path = FOLDER) -> list[str]:
         A task file that is there, whose roles get the settings of their controllers; or a folder for files of
         controllers (`--controller`), filters (`--filter`), and ROS parameters of what only these can hold.
 
-    Raises
-    ------
-    SettingError
-        Where nothing differs, or the task file cannot take it; it is then as it was.
-    OSError
-        Where a file cannot be written.
+    Raises `SettingError` where nothing differs, or the task file cannot take it; it is then as it was;
+    `OSError` where a file cannot be written.
     """
     if not tuning.different():
         raise SettingError("nothing differs from what the nodes were started with: there is nothing to save")
@@ -180,7 +176,6 @@ def _missed(settings: SettingGroups, wanted: Groups) -> list[tuple[str, str, Any
 
 
 def _role(task: Task, node: str, kind: str) -> Role:
-    """The role of a controller's arm."""
     arm = node.strip("/").split("/")[0]
     roles = [role for role in task.roles if role.task == kind and (not role.arms or arm in role.arms)]
     if len(roles) != 1:

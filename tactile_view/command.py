@@ -9,7 +9,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
-from tactile_bringup.commands.changes import refusing
+from tactile_bringup.commands.changes import add_command
 
 HOST, PORT, FOXGLOVE_PORT = "127.0.0.1", 8098, 8765
 NICENESS = 10  # whoever looks must not hold up what is looked at
@@ -21,39 +21,34 @@ OPEN_TO_OTHERS = (
 def register(subparsers: Any) -> None:
     """Add both."""
     _register_foxglove(subparsers)
-    parser = subparsers.add_parser(
+    add = add_command(
+        subparsers,
         "view",
-        help="a page in the browser: see an arm, its touch and its settings, live or recorded",
-        description="Serve a page that shows the arms, the believed contact with its uncertainty, the "
-        "tactile image and all settings of a running graph, or a recording with a time line. Open the "
-        "address that it prints in a browser; Ctrl-C ends it.",
+        run,
         epilog="Exit codes: 0 ended by the user, 2 nothing to show.",
-    )
-    add = parser.add_argument
+    ).add_argument
     add("bag", nargs="?", type=Path, metavar="BAG", help="a recording (default: the running graph)")
     add("--port", type=int, default=PORT, help=f"({PORT})")
     add("--host", default=HOST, help="address to serve at; another than this host's lets others act, too")
-    parser.set_defaults(run=run)
 
 
 def _register_foxglove(subparsers: Any) -> None:
-    parser = subparsers.add_parser(
+    add = add_command(
+        subparsers,
         "foxglove",
-        help="serve a running graph to Foxglove or Lichtblick",
-        description="Serve the topics of a running graph over the web socket of Foxglove, which Lichtblick "
-        "speaks too: open a connection 'Foxglove WebSocket' to the address that it prints. Only what "
-        "somebody looks at is heard, and nothing can be sent. These programs open recordings as they are.",
+        run_foxglove,
         epilog="Exit codes: 0 ended by the user, 2 not started.",
-    )
-    add = parser.add_argument
+    ).add_argument
     add("--port", type=int, default=FOXGLOVE_PORT, help=f"({FOXGLOVE_PORT})")
     add("--host", default=HOST, help="address to serve at; another than this host's lets others look, too")
-    parser.set_defaults(run=run_foxglove)
 
 
-@refusing("foxglove", status=2)
 def run_foxglove(arguments: argparse.Namespace) -> int:
-    """Serve until a signal; returns the exit code."""
+    """Serve the topics of a running graph over the web socket of Foxglove, which Lichtblick speaks too.
+
+    Open a connection 'Foxglove WebSocket' to the address that it prints. Only what somebody looks at is
+    heard, and nothing can be sent. These programs open recordings as they are.
+    """
     _require("foxglove", "foxglove-sdk")
     from tactile_base.console import lasting_console, say
     from tactile_base.end_signals import signals_into
@@ -82,9 +77,12 @@ def _code(signals: list[int]) -> int:
     return 0 if signals[:1] in ([], [signal.SIGINT], [signal.SIGTERM]) else 128 + signals[0]
 
 
-@refusing("view", status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """Serve the page until a signal; returns the exit code."""
+    """Serve a page that shows a running graph, or a recording with a time line.
+
+    It has the arms, the believed contact with its uncertainty, the tactile image and all settings. Open the
+    address that it prints in a browser; Ctrl-C ends it.
+    """
     _require("viser", "viser")
     from tactile_base.console import lasting_console, say
     from tactile_base.end_signals import end_with_launcher, signals_into

@@ -21,7 +21,7 @@ from text import code, first_sentences, ours, table
 from tactile_base.config_paths import config_folder
 from tactile_bringup.cli import command_line
 from tactile_bringup.commands.completion import parsers
-from tactile_bringup.commands.plugins import registries
+from tactile_bringup.plugin_check import REGISTRIES
 from tactile_records.runs import metrics
 
 ROOT = Path(__file__).parents[2]
@@ -103,7 +103,7 @@ def commands_page() -> str:
 def plugins_page() -> str:
     """Every registry: names, where they lie, and what an entry has to offer."""
     text = PLUGINS
-    for registry in registries():
+    for registry in REGISTRIES:
         text += f"\n## {registry.kind.capitalize()}\n\nGroup `{registry.group}`.\n"
         if made := registry.contract.made_from:
             calls = [f"`({', '.join(made)})`"]
@@ -122,7 +122,7 @@ def report_page() -> str:
     """Every number of report.json."""
     common = [(code(k), meaning) for k, meaning in metrics.REPORT_FIELDS.items()]
     text = REPORT + table("name | meaning", common)
-    for name, report in ours(next(r for r in registries() if r.kind == "report")).items():
+    for name, report in ours(next(r for r in REGISTRIES if r.kind == "report")).items():
         rows = [(code(k), meaning) for k, meaning in report.fields.items() if k not in metrics.REPORT_FIELDS]
         if rows:
             text += f"\n## {name}\n\n" + table("name | meaning", rows)

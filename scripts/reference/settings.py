@@ -16,7 +16,7 @@ from text import code, first_sentences, ours, table
 
 from tactile_base import settings
 from tactile_base.settings import Settings, range_text
-from tactile_bringup.commands.plugins import registries
+from tactile_bringup.plugin_check import REGISTRIES
 
 PACKAGES = Path(inspect.getfile(settings)).parents[1]  # where the packages are installed
 TRAINING_ONLY = ("onnx", "torch")  # the extra `train`, which only some settings need
@@ -141,7 +141,7 @@ PLUGGED = {"arm driver": "driver", "camera driver": "camera", "shape": "shape", 
 def scene_parts() -> list[tuple[str, type[Settings]]]:
     """Heading and class of each part of a scene that is declared as settings."""
     parts = [(heading, named(kind)) for heading, kind in SCENE.items()]
-    for registry in registries():
+    for registry in REGISTRIES:
         for name, item in ours(registry).items() if registry.kind in PLUGGED else ():
             kind = getattr(item, "settings_class", None)
             if inspect.isclass(kind) and issubclass(kind, Settings) and dataclasses.fields(kind):
@@ -159,7 +159,7 @@ def scene_page() -> str:
 
 def our_tasks() -> dict[str, Any]:
     """The classes of this package's tasks, by name."""
-    return ours(next(registry for registry in registries() if registry.kind == "task"))
+    return ours(next(registry for registry in REGISTRIES if registry.kind == "task"))
 
 
 def own_group(task: Any) -> type[Settings] | None:

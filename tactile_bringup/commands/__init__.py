@@ -1,1 +1,48 @@
-"""The commands of tactile, one file each."""
+"""The commands of tactile, one file each; a file is loaded for the command that was asked for alone."""
+
+_HERE = "tactile_bringup.commands"
+
+#: Command -> the module that adds it by `register(subparsers)`, by name, since one stands above this package;
+#: and what help says of it.
+COMMANDS = {
+    "launch": (f"{_HERE}.launch", "start a task's nodes and run it"),
+    "run": (f"{_HERE}.run", "run a task on nodes that are up already"),
+    "stop": (f"{_HERE}.stop", "bring all arms to rest at once"),
+    "reset": (f"{_HERE}.operate", "let arms move again after a stop, an alarm or a fault"),
+    "status": (f"{_HERE}.operate", "what each arm does, who commands it, and what is wrong"),
+    "reference": (f"{_HERE}.operate", "take new images without contact: lift sensors off"),
+    "get": (f"{_HERE}.operate", "parameters of a node, with range and meaning"),
+    "set": (f"{_HERE}.operate", "set parameters of a node while it runs"),
+    "goal": (f"{_HERE}.operate", "send one goal to an arm's controller, and wait for its end"),
+    "cancel": (f"{_HERE}.operate", "end the goals that run: arms stop and leave the surface"),
+    "tune": (f"{_HERE}.tune", "settings of all running nodes in a table: see, change, undo, save"),
+    "move": (f"{_HERE}.move", "take an arm to a pose through the air"),
+    "demo": (f"{_HERE}.demo", "follow a curved ramp in simulation, or run another task, with pictures"),
+    "simulate": (f"{_HERE}.simulate", "run a task on a simulated scene in one process, without ROS"),
+    "experiment": (f"{_HERE}.experiment", "many trials in simulation, and friction models on real pushes"),
+    "foxglove": ("tactile_view.command", "serve a running graph to Foxglove or Lichtblick"),
+    "view": ("tactile_view.command", "a page in the browser: arms, touch and settings, live or recorded"),
+    "report": (f"{_HERE}.report", "numbers, pictures and a page of a run"),
+    "compare": (f"{_HERE}.compare", "what differs between runs, and what is mere spread"),
+    "export": (f"{_HERE}.export", "recordings as CSV, Parquet, TUM or LeRobot, for other tools"),
+    "replay": (f"{_HERE}.replay", "run a recorded bag through the filter again, with other settings"),
+    "estimate": (f"{_HERE}.estimate", "run images through estimator and filter, without ROS"),
+    "train": (f"{_HERE}.train", "train a pose network on a data folder"),
+    "ensemble": (f"{_HERE}.train", "join trained networks into one model file"),
+    "evaluate": (f"{_HERE}.evaluate", "measure trained networks, alone or with the filter"),
+    "calibrate": (f"{_HERE}.calibrate", "fit a model's uncertainty to its errors on other data"),
+    "quantize": (f"{_HERE}.quantize", "write a trained network in 8-bit integers"),
+    "fit": (f"{_HERE}.fit", "fit a simulated sensor, or a model of a network's errors"),
+    "markers": (f"{_HERE}.markers", "markers of an image, and their density against no contact"),
+    "camera": (f"{_HERE}.camera", "find a sensor's camera, look through it, check it, write it into a scene"),
+    "cell": (f"{_HERE}.cell", "calibrate camera time, tip and mounting of a real cell by touch"),
+    "data": (f"{_HERE}.data", "make, import and check data sets"),
+    "security": (f"{_HERE}.security", "write who may say what, for DDS security"),
+    "arm": (f"{_HERE}.arm", "check an arm before its first contact"),
+    "plugins": (f"{_HERE}.plugins", "what plugs in by name, and whether it loads"),
+    "check": (f"{_HERE}.check", "try a plug-in on what its contract says"),
+    "new": (f"{_HERE}.new", "write a package with a plug-in of your own"),
+    "drill": (f"{_HERE}.drill", "have one thing at a time go wrong, and see what comes of it"),
+    "doctor": (f"{_HERE}.doctor", "check this machine and environment"),
+    "completion": (f"{_HERE}.completion", "print a script that completes commands for a shell"),
+}

@@ -11,45 +11,36 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from tactile_bringup.commands.changes import refusing
+from tactile_bringup import arm_check
+from tactile_bringup.commands.changes import add_command, add_group
 from tactile_bringup.commands.launch import add_rehearse_option
-
-if TYPE_CHECKING:
-    from tactile_bringup.findings import Finding
+from tactile_bringup.findings import FAILED, LOOK, Finding, show
+from tactile_bringup.staged_arm import StagedArm, arm_of
+from tactile_doubles.rehearsal import DOUBLES, rehearsed
+from tactile_scene.scene import EXTERNAL, SIM
+from tactile_scene.scene_file import load_scene
 
 STARTS = 30.0  # s, at most, for a double to take connections
 
 
 def register(subparsers: Any) -> None:
-    """Add `arm` and what it does."""
-    parser = subparsers.add_parser("arm", help="check an arm before its first contact", description=__doc__)
-    actions = parser.add_subparsers(required=True, metavar="ACTION")
-    check = actions.add_parser("check", help="connection, scene, round trip and stops", description=__doc__)
+    actions = add_group(subparsers, "arm", __doc__)
+    help = "connection, scene, round trip and stops"
+    check = add_command(actions, "check", run, __doc__, help=help, wrong=(RuntimeError,))
     add = check.add_argument
     add("--scene", required=True, metavar="NAME", help="scene, or a scene file")
     add("--arm", default="", metavar="NAME", help="which of its arms (default: the only one)")
     add("--move", action="store_true", help="it may move, by 10 mm at 10 mm/s, in the air")
     add_rehearse_option(check)
-    check.set_defaults(run=run)
 
 
-@refusing("arm check", RuntimeError, status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; 1 where something failed."""
-    from tactile_bringup.findings import show
-
     return show(_findings(arguments))
 
 
 def _findings(arguments: argparse.Namespace) -> Iterator[Finding]:
-    from tactile_bringup import arm_check
-    from tactile_bringup.findings import FAILED, LOOK, Finding
-    from tactile_bringup.staged_arm import StagedArm, arm_of
-    from tactile_doubles.rehearsal import DOUBLES, rehearsed
-    from tactile_scene.scene import EXTERNAL, SIM
-    from tactile_scene.scene_file import load_scene
 
     scene = load_scene(arguments.scene)
     arm = arm_of(rehearsed(scene) if arguments.rehearse else scene, arguments.arm)

@@ -1,4 +1,8 @@
-"""The command `tactile calibrate`: a model file's uncertainty fitted anew."""
+"""Write a copy of a model whose stated uncertainty fits its errors on labelled data.
+
+On samples of today's session (100 at least, better 500), as a session should begin; or on what was held back
+of its training data, with the margin and floor of its training for other sessions.
+"""
 
 from __future__ import annotations
 
@@ -7,30 +11,20 @@ from pathlib import Path
 from typing import Any
 
 from tactile_base.whole_file import check_file, room_for_files
-from tactile_bringup.commands.changes import add_set_option, changed_settings, refusing
+from tactile_bringup.commands.changes import add_command, add_set_option, changed_settings
+from tactile_perception.estimating.model_metadata import trained_model
 
 
 def register(subparsers: Any) -> None:
-    """Add `calibrate` to argparse subparsers; sets `run`, a callable of the arguments."""
-    parser = subparsers.add_parser(
-        "calibrate",
-        help="fit a model's uncertainty to its errors on other data",
-        description="Write a copy of a model whose stated uncertainty fits its errors on labelled data: on "
-        "samples of today's session (100 at least, better 500), as a session should begin; or on what was "
-        "held back of its training data, with the margin and floor of its training for other sessions.",
-    )
+    parser = add_command(subparsers, "calibrate", run_calibrate, __doc__, status=1)
     add = parser.add_argument
     add("model", type=Path, metavar="RUN", help="run folder of `tactile train`, or ONNX file")
     add("--data", type=Path, required=True, help="labelled folder of the public layout")
     add("--out", type=Path, required=True, metavar="FILE", help="where the copy goes (.onnx)")
     add_set_option(parser, "change a setting of the calibration, as margin=[1.1,1.1,1.1,1,1,1]")
-    parser.set_defaults(run=run_calibrate)
 
 
-@refusing("calibrate")
 def run_calibrate(arguments: argparse.Namespace) -> int:
-    """`tactile calibrate`: returns the exit status."""
-    from tactile_perception.estimating.model_metadata import trained_model
     from tactile_perception.training.recalibration import recalibrate
 
     check_file(arguments.out)

@@ -1,15 +1,31 @@
-"""The command `tactile camera`: which cameras there are, what they see, and what to write into a scene."""
+"""Find the camera of a tactile sensor, look through it, check it, write it into a scene."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from tactile_bringup.commands.changes import add_set_option, changed_settings, positive_int, refusing
+import numpy as np
+import yaml
 
-if TYPE_CHECKING:
-    from tactile_scene.scene import ArmScene
+from tactile_base.yaml_file import Section
+from tactile_bringup.camera_view import check, serve, watching
+from tactile_bringup.commands.changes import (
+    add_command,
+    add_group,
+    add_set_option,
+    changed_settings,
+    positive_int,
+)
+from tactile_bringup.scene_values import write_into
+from tactile_bringup.staged_arm import arm_of
+from tactile_drivers.video_devices import find_devices
+from tactile_scene.arm_settings import ArmLimits, SafetySettings
+from tactile_scene.camera import CAMERAS
+from tactile_scene.scene import EXTERNAL, SIM, ArmScene, SensorScene, SensorSettings
+from tactile_scene.scene_file import load_scene
 
 EXAMPLE = "exposure=0.005"
 #: Written into a scene even where they are the defaults: a picture must be the same tomorrow.
@@ -17,34 +33,23 @@ PINNED = ("format", "width", "height", "exposure", "white_balance")
 
 
 def register(subparsers: Any) -> None:
-    """Add `camera` with its own commands to argparse subparsers."""
-    parser = subparsers.add_parser(
-        "camera",
-        help="find a sensor's camera, look through it, check it, write it into a scene",
-        description="Find the camera of a tactile sensor, look through it, check it, write it into a scene.",
-    )
-    commands = parser.add_subparsers(dest="what", metavar="COMMAND", required=True)
-    listed = commands.add_parser("list", help="devices and what they offer")
-    listed.set_defaults(run=run_list)
-    show = commands.add_parser("show", help="a live picture with focus and markers, in a browser")
+    commands = add_group(subparsers, "camera", __doc__)
+    add_command(commands, "list", run_list, help="devices and what they offer", status=1)
+    show = add_command(commands, "show", run_show, help="a live picture, in a browser", status=1)
     _add_source(show)
     show.add_argument("--host", default="127.0.0.1", help="address that serves the page (127.0.0.1)")
     show.add_argument("--port", type=int, default=8080, help="and its port; 0: any (8080)")
-    show.set_defaults(run=run_show)
-    checked = commands.add_parser("check", help="rate, focus and number of markers")
+    checked = add_command(commands, "check", run_check, help="rate, focus, number of markers", status=1)
     _add_source(checked)
     checked.add_argument("--markers", type=positive_int, metavar="N", help="how many the sensor has")
     checked.add_argument("--seconds", type=float, default=2.0, metavar="S", help="to look for (2)")
     checked.add_argument("--blur", type=float, default=2.0, metavar="PX", help="largest that is sharp (2)")
-    checked.set_defaults(run=run_check)
-    scene = commands.add_parser("scene", help="the camera's part of a scene, printed or written into one")
+    scene = add_command(commands, "scene", run_scene, help="the camera's part of a scene", status=1)
     _add_source(scene)
     scene.add_argument("--into", type=Path, metavar="FILE", help="scene file to write it into")
-    scene.set_defaults(run=run_scene)
 
 
 def _add_source(parser: Any) -> None:
-    """Which camera: a device with settings, or that of a scene."""
     add = parser.add_argument
     add("device", nargs="?", help="path of the device (default: the only one)")
     add("--driver", default="uvc", help="camera driver: uvc, replay, or one of another package (uvc)")
@@ -54,11 +59,8 @@ def _add_source(parser: Any) -> None:
     add_set_option(parser, f"a setting of the driver, as {EXAMPLE}")
 
 
-@refusing("camera list")
 def run_list(arguments: argparse.Namespace) -> int:
-    """`tactile camera list`: returns the exit status."""
-    from tactile_drivers.video_devices import find_devices
-
+    """List the video devices and what they offer."""
     devices = find_devices()
     if not devices:
         raise OSError("there is no video device: is the camera plugged in? `lsusb` lists what there is")
@@ -73,11 +75,8 @@ def run_list(arguments: argparse.Namespace) -> int:
     return 0
 
 
-@refusing("camera show")
 def run_show(arguments: argparse.Namespace) -> int:
-    """`tactile camera show`: until Ctrl-C."""
-    from tactile_bringup.camera_view import serve, watching
-
+    """Serve a live picture with focus and markers, until Ctrl-C."""
     if not 0 <= arguments.port <= 65535:
         raise ValueError(f"--port {arguments.port}: must lie in [0, 65535]")
     with watching(chosen(arguments)) as watch:
@@ -93,11 +92,8 @@ def run_show(arguments: argparse.Namespace) -> int:
     return 0
 
 
-@refusing("camera check")
 def run_check(arguments: argparse.Namespace) -> int:
-    """`tactile camera check`: 0 if all is right, else 1."""
-    from tactile_bringup.camera_view import check, watching
-
+    """Measure rate, focus and number of markers; the exit code is 0 if all is right, else 1."""
     if not 0.1 <= arguments.seconds <= 600.0:
         raise ValueError(f"--seconds {arguments.seconds:g}: must lie in [0.1, 600] s")
     arm = chosen(arguments)
@@ -115,17 +111,8 @@ def run_check(arguments: argparse.Namespace) -> int:
     return 0 if all(verdict.good for verdict in verdicts) else 1
 
 
-@refusing("camera scene")
 def run_scene(arguments: argparse.Namespace) -> int:
-    """`tactile camera scene`: the camera is opened first, so that nothing is written that does not work."""
-    import dataclasses
-
-    import yaml
-
-    from tactile_bringup.camera_view import watching
-    from tactile_bringup.scene_values import write_into
-    from tactile_scene.camera import CAMERAS
-
+    """Print the camera's part of a scene, or write it into one; the camera has to work for it."""
     arm = chosen(arguments)
     assert arm.sensor is not None
     with watching(arm) as watch:
@@ -151,13 +138,6 @@ def chosen(arguments: argparse.Namespace) -> ArmScene:
 
     Raises `ValueError` or `OSError` with what would be right.
     """
-    import numpy as np
-
-    from tactile_base.yaml_file import Section
-    from tactile_scene.arm_settings import ArmLimits, SafetySettings
-    from tactile_scene.camera import CAMERAS
-    from tactile_scene.scene import EXTERNAL, ArmScene, SensorScene, SensorSettings
-
     if arguments.scene is not None:
         return _of_scene(arguments)
     settings = changed_settings(arguments.changes, EXAMPLE)
@@ -179,23 +159,17 @@ def chosen(arguments: argparse.Namespace) -> ArmScene:
 
 
 def _of_scene(arguments: argparse.Namespace) -> ArmScene:
-    from tactile_scene.scene import EXTERNAL, SIM
-    from tactile_scene.scene_file import load_scene
 
     if arguments.device is not None or arguments.changes:
         raise ValueError("--scene says which camera and how: leave out the device and --set")
-    scene = load_scene(arguments.scene)
-    driven = {n: a for n, a in scene.arms.items() if a.sensor and a.sensor.camera not in (SIM, EXTERNAL)}
-    if arguments.arm is None and len(driven) == 1:
-        return next(iter(driven.values()))
-    if arguments.arm in driven:
-        return driven[arguments.arm]
-    listed = ", ".join(driven) or "none"
-    raise ValueError(f"{scene.path}: --arm must name an arm with a camera driver; there are: {listed}")
+
+    def driven(arm: ArmScene) -> bool:
+        return arm.sensor is not None and arm.sensor.camera not in (SIM, EXTERNAL)
+
+    return arm_of(load_scene(arguments.scene), arguments.arm, driven, "an arm with a camera driver")
 
 
 def _only_device() -> str:
-    from tactile_drivers.video_devices import find_devices
 
     devices = find_devices()
     if len(devices) == 1:

@@ -1,21 +1,35 @@
-"""The command `tactile cell`: a real cell's calibration by touch, its results for the scene file."""
+"""Have an arm touch a flat surface, and work out of it what a scene file has to say."""
 
 from __future__ import annotations
 
 import argparse
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import yaml
 from rich.console import Console
 
 from tactile_base.console import lasting_console, say
-from tactile_bringup.commands.changes import add_set_option, changed_settings, natural_int, refusing
-from tactile_bringup.commands.launch import add_rehearse_option
-
-if TYPE_CHECKING:
-    from tactile_records.runs.record import RunRecord
-    from tactile_scene.scene import ArmScene, Scene
+from tactile_base.whole_file import check_folder
+from tactile_bringup import cell_touching
+from tactile_bringup.commands.changes import (
+    add_command,
+    add_group,
+    add_set_option,
+    changed_settings,
+    natural_int,
+)
+from tactile_bringup.commands.launch import add_rehearse_option, launch_graph
+from tactile_bringup.graph import GraphOptions, build_graph
+from tactile_bringup.run_sequence import arm_plans
+from tactile_bringup.scene_values import write_into
+from tactile_bringup.staged_arm import arm_of
+from tactile_doubles.rehearsal import rehearsed
+from tactile_records.calibrating.results import RESULTS
+from tactile_records.runs.record import RunRecord
+from tactile_scene.scene import SIM, Scene
+from tactile_scene.scene_file import load_scene
 
 HELP = {
     "time": "offset between the camera's stamps and the arm's, by moving back and forth in contact",
@@ -23,29 +37,18 @@ HELP = {
     "mounting": "rotation of the sensor in the tool, by pressing and shearing it on a plane at tilts",
 }
 FAILED, DISAGREES = 1, 3
+EXIT_CODES = "exit codes: 0 the scene agrees or was corrected; 1 it failed; 3 the scene does not agree"
 EXAMPLE = "tilt_deg=20"
 
 
 def register(subparsers: Any) -> None:
-    """Add `cell` with its own commands to argparse subparsers."""
-    parser = subparsers.add_parser(
-        "cell",
-        help="calibrate camera time, tip and mounting of a real cell by touch, write them into its scene",
-        description="Have an arm touch a flat surface, and work out of it what a scene file has to say.",
-    )
-    commands = parser.add_subparsers(dest="what", metavar="COMMAND", required=True)
+    commands = add_group(subparsers, "cell", __doc__)
     for name, text in HELP.items():
-        command = commands.add_parser(
-            name,
-            help=text,
-            description=f"The {text}.",
-            epilog="exit codes: 0 the scene agrees or was corrected; 1 it failed; 3 the scene does not agree",
-        )
+        command = add_command(commands, name, run, f"The {text}.", help=text, epilog=EXIT_CODES, status=1)
         add = command.add_argument
         add("--scene", required=True, metavar="FILE", help="the cell")
         add("--arm", metavar="NAME", help="which arm (default: the only one with a sensor)")
-        add("--from", dest="source", type=Path, metavar="RUN",
-            help="a bag, or a run.npz, in which the arm has done so; nothing moves")  # fmt: skip
+        add("--from", dest="source", type=Path, metavar="RUN", help="a bag, or run.npz, in which it was done")
         add("--simulate", action="store_true", help="a simulated arm, in one process, without ROS")
         add_rehearse_option(command)
         add_set_option(command, f"a setting of the touches, as {EXAMPLE} (docs/tasks.md)")
@@ -53,19 +56,9 @@ def register(subparsers: Any) -> None:
         add("--write", action="store_true", help="write what was found into the scene file")
         add("--out", type=Path, default=Path("out/cell"), metavar="FOLDER", help="for results (out/cell)")
         add("--headless", action="store_true", help="plain lines in place of the live display")
-        command.set_defaults(run=run)
 
 
-@refusing("cell")
 def run(arguments: argparse.Namespace) -> int:
-    """`tactile cell ...`: returns the exit status."""
-    import yaml
-
-    from tactile_bringup.scene_values import write_into
-    from tactile_doubles.rehearsal import rehearsed
-    from tactile_records.calibrating.results import RESULTS
-    from tactile_scene.scene_file import load_scene
-
     scene = load_scene(arguments.scene)
     if (arguments.source is not None) + arguments.simulate + arguments.rehearse > 1:
         raise ValueError("--from, --simulate and --rehearse: at most one of them says where a run comes from")
@@ -74,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.write and not Path(arguments.scene).is_file():
         raise ValueError(f"--write needs a scene file of your own, not the packaged '{arguments.scene}'")
     scene = rehearsed(scene) if arguments.rehearse else scene
-    arm = chosen_arm(scene, arguments.arm)
+    arm = arm_of(scene, arguments.arm, lambda arm: arm.sensor is not None, "an arm with a sensor")
     assert arm.sensor is not None
     console = lasting_console()
     record = run_of(arguments, scene, arm.name, console)
@@ -94,22 +87,8 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if result.agrees else DISAGREES
 
 
-def chosen_arm(scene: Scene, name: str | None) -> ArmScene:
-    """The arm of that name, or the only one with a sensor."""
-    feeling = {name: arm for name, arm in scene.arms.items() if arm.sensor is not None}
-    if name is None and len(feeling) == 1:
-        return next(iter(feeling.values()))
-    if name in feeling:
-        return feeling[name]
-    listed = ", ".join(feeling) or "none"
-    raise ValueError(f"{scene.path}: --arm must name an arm with a sensor; there are: {listed}")
-
-
 def run_of(arguments: argparse.Namespace, scene: Scene, arm: str, console: Console) -> RunRecord | None:
     """The run that is looked at: recorded, simulated, or of the arm now; None where the last has failed."""
-    from tactile_bringup import cell_touching
-    from tactile_scene.scene import SIM
-
     if arguments.source is not None:
         return cell_touching.recorded(arguments.source, arm)
     if arguments.simulate:
@@ -129,12 +108,7 @@ def run_of(arguments: argparse.Namespace, scene: Scene, arm: str, console: Conso
 def _of_the_graph(
     arguments: argparse.Namespace, scene: Scene, arm: str, console: Console
 ) -> RunRecord | None:
-    from tactile_base.whole_file import check_folder
-    from tactile_bringup import cell_touching
-    from tactile_bringup.commands.launch import launch_graph
-    from tactile_bringup.graph import GraphOptions, build_graph
     from tactile_bringup.launching.launcher import Manner
-    from tactile_bringup.run_sequence import arm_plans
 
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{arguments.what}"
     check_folder(folder)

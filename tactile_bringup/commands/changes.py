@@ -1,10 +1,16 @@
-"""What commands have in common: settings changed by NAME=VALUE, numbers, where jobs run, how they refuse."""
+"""What commands have in common: how they are added and refuse, `--set NAME=VALUE`, numbers, where jobs run.
+
+Command lines are argparse's. tyro (1.0) was tried on `simulate` and `stop`: it takes 28 lines for the options
+of `simulate`, which are 15 here, and 90 ms of processor to load, in place of 10; and nothing is gained of the
+declared settings, since which of them there are is known only once `--set` has met the roles of a task file.
+"""
 
 from __future__ import annotations
 
 import argparse
-import functools
+import inspect
 import os
+import sys
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -14,8 +20,10 @@ from rich.console import Console
 from tactile_base.console import say
 from tactile_base.jobs import Workers
 from tactile_base.raised import LIBRARY, raised_at, raised_by, raised_in_plugin, told
+from tactile_base.requirements import ROS_MODULES, without_ros
 from tactile_base.settings import SettingError
 from tactile_base.yaml_file import name_and_value
+from tactile_bringup.commands import COMMANDS
 
 Run = Callable[[argparse.Namespace], int]
 EXTRA = ("torch", "onnx")  # libraries of the extra `train`
@@ -61,11 +69,10 @@ def add_job_options(parser: Any, default: int | None = None, those: str = "") ->
     """
     cores = len(os.sched_getaffinity(0))
     shown = f"as many as cores: {cores}" if default is None else default
-    parser.add_argument("--jobs", type=positive_int, default=default or cores, metavar="N",
-        help=f"{those}processes at a time ({shown})")  # fmt: skip
-    parser.add_argument("--scheduler", default="", metavar="ADDRESS",
-        help=f"{those}run on the workers of this Dask scheduler instead (without TLS it runs anybody's code)",
-    )  # fmt: skip
+    add, text = parser.add_argument, f"{those}processes at a time ({shown})"
+    add("--jobs", type=positive_int, default=default or cores, metavar="N", help=text)
+    text = f"{those}run on the workers of this Dask scheduler instead (without TLS it runs anybody's code)"
+    add("--scheduler", default="", metavar="ADDRESS", help=text)
 
 
 def workers_of(arguments: argparse.Namespace) -> Workers:
@@ -89,35 +96,70 @@ def _explained(error: Exception) -> str:
     return f"{in_words(error)} ({raised_at(error)})" if raised_by(error) == LIBRARY else in_words(error)
 
 
-def refusing(command: str, *others: type[Exception], status: int = 1) -> Callable[[Run], Run]:
-    """Decorator of what runs a command: wrong input becomes a message and the exit status of that.
+def add_group(commands: Any, name: str, about: str | None) -> Any:
+    """Add a command that has commands of its own; returns what takes these."""
+    parser = commands.add_parser(name, help=COMMANDS[name][1], description=about)
+    return parser.add_subparsers(dest="what", metavar="COMMAND", required=True)
 
-    Wrong input is a `ValueError`, an `OSError` or one of `others`. What else a plug-in raises is told in the
-    same way, and its traceback below. Where a library of the extra `train` is not installed, the message says
-    how to install it, and the status is 2.
+
+def add_command(
+    commands: Any,
+    name: str,
+    run: Run,
+    about: str | None = None,
+    *,
+    help: str = "",
+    epilog: str | None = None,
+    status: int = 2,
+    wrong: tuple[type[Exception], ...] = (),
+) -> argparse.ArgumentParser:
+    """Add a command to argparse subparsers; returns its parser, for options.
+
+    Parameters
+    ----------
+    about : what its own help says first (default: the docstring of `run`)
+    help : what the list of commands says of it (default: by `COMMANDS`)
+    status : exit code of wrong input (`refusing`)
+    wrong : errors besides `ValueError` and `OSError` that mean wrong input
     """
-    wrong: tuple[type[Exception], ...] = (ValueError, OSError, *others)
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name, help=help or COMMANDS[name][1], description=about or inspect.getdoc(run), epilog=epilog
+    )
+    parser.set_defaults(run=refusing(run, parser.prog, status, wrong))
+    return parser
 
-    def decorate(run: Run) -> Run:
-        @functools.wraps(run)
-        def refused(arguments: argparse.Namespace) -> int:
-            console = Console(stderr=True)
-            try:
-                return run(arguments)
-            except ModuleNotFoundError as error:
-                if error.name not in EXTRA:
-                    raise
-                say(console, f"tactile {command} needs {error.name}: pip install {' '.join(EXTRA)}")
-                return 2
-            except Exception as error:
-                theirs = raised_in_plugin(error) and not isinstance(error, SettingError | OSError)
-                if not theirs and not isinstance(error, wrong):
-                    raise
-                say(console, f"tactile {command}: {_explained(error)}", "red")
-                if origin := next((e for e in (error, error.__cause__) if e and raised_in_plugin(e)), None):
-                    say(console, "".join(traceback.format_exception(origin)).rstrip())
-                return status
 
-        return refused
+def refusing(run: Run, command: str, status: int = 2, wrong: tuple[type[Exception], ...] = ()) -> Run:
+    """What runs a command, and says in a sentence what is wrong with its input, or with this machine.
 
-    return decorate
+    What else a plug-in raises is told in the same way, and its traceback below.
+    """
+
+    def refused(arguments: argparse.Namespace) -> int:
+        console = Console(stderr=True)
+        try:
+            return run(arguments)
+        except KeyboardInterrupt:
+            say(console, "\ninterrupted")
+            return 130
+        except BrokenPipeError:  # the reader of our output (a pager, head) has gone
+            sys.stderr.close()
+            return 141
+        except ModuleNotFoundError as error:
+            if error.name in EXTRA:
+                say(console, f"{command} needs {error.name}: pip install {' '.join(EXTRA)}")
+            elif (error.name or "").split(".")[0] in ROS_MODULES:
+                say(console, f"{command}: {without_ros(str(error.name))}")
+            else:
+                raise
+            return 2
+        except Exception as error:
+            theirs = raised_in_plugin(error) and not isinstance(error, SettingError | OSError)
+            if not theirs and not isinstance(error, (ValueError, OSError, *wrong)):
+                raise
+            say(console, f"{command}: {_explained(error)}", "red")
+            if origin := next((e for e in (error, error.__cause__) if e and raised_in_plugin(e)), None):
+                say(console, "".join(traceback.format_exception(origin)).rstrip())
+            return status
+
+    return refused

@@ -5,42 +5,27 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from tactile_bringup.commands.changes import add_set_option, changed_settings, refusing
+from rich.console import Console
+
+from tactile_base.console import say
+from tactile_base.yaml_file import values_of
+from tactile_bringup.commands.changes import add_command, add_set_option, changed_settings
+from tactile_bringup.plugin_check import check_plugin, kind_of
 
 
 def register(subparsers: Any) -> None:
-    """Add `check`."""
-    doc = "try a plug-in on what its contract says"
-    parser = subparsers.add_parser("check", help=doc, description=__doc__)
+    parser = add_command(subparsers, "check", run, __doc__, wrong=(RuntimeError,))
     add = parser.add_argument
     add("plugin", metavar="PLUGIN", help="its name (`tactile plugins`), or module:attribute with --kind")
-    add(
-        "--kind",
-        default="",
-        metavar="KIND",
-        help="task, shape, 'body motion', 'arm driver', 'camera driver', ...",
-    )
+    add("--kind", default="", metavar="KIND", help="task, shape, 'body motion', 'arm driver', ...")
     add("--scene", default="", metavar="FILE", help="of a driver: the scene whose arm or camera it opens")
     add("--arm", default="", metavar="NAME", help="its arm (default: the first)")
     add("--goal", default="", metavar="YAML", help="of a task: what its goal says, as '{length: 0.05}'")
-    add(
-        "--move",
-        action="store_true",
-        help="an arm may be moved: a millimetre along its z and back, at 5 mm/s",
-    )
+    add("--move", action="store_true", help="an arm may go a millimetre along its z and back, at 5 mm/s")
     add_set_option(parser, "a setting of a shape, motion or task")
-    parser.set_defaults(run=run)
 
 
-@refusing("check", RuntimeError, status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; 0 where nothing was found, else 1."""
-    from rich.console import Console
-
-    from tactile_base.console import say
-    from tactile_base.yaml_file import values_of
-    from tactile_bringup.plugin_check import check_plugin, kind_of
-
     console = Console()
     kind = arguments.kind or kind_of(arguments.plugin)
     values = changed_settings(arguments.changes, "radius=0.02")

@@ -1,48 +1,42 @@
-"""`tactile compare RUN RUN...`: what differs in settings and results, and what is mere spread."""
+"""Compare recordings, what simulate wrote, or folders with report.json.
+
+Runs that differ by their seeds alone are a group; groups are held against the first.
+"""
 
 from __future__ import annotations
 
 import argparse
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 
 from tactile_base.console import number_table, say
 from tactile_base.whole_file import room_for_results
-from tactile_bringup.commands.changes import refusing
-
-if TYPE_CHECKING:
-    from tactile_records.runs.comparison_page import Comparison
+from tactile_bringup.commands.changes import add_command
+from tactile_records.runs.comparison import read_compared
+from tactile_records.runs.comparison_page import (
+    NUMBERS,
+    Comparison,
+    compared,
+    doubt,
+    spread,
+    summary,
+    write_comparison,
+)
 
 MOST_ROWS = 25
 
 
 def register(subparsers: Any) -> None:
-    """Add `compare`."""
-    parser = subparsers.add_parser(
-        "compare",
-        help="what differs between runs, in settings and results, and what is mere spread",
-        description="Compares recordings, what simulate wrote, or folders with report.json. Runs that differ "
-        "by their seeds alone are a group; groups are held against the first.",
-        epilog="exit codes: 0 written, 2 nothing written",
-    )
-    parser.add_argument(
-        "runs", type=Path, nargs="+", metavar="RUN", help="at least two; a group of several is better"
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="FOLDER", default=Path("out/compare"), help="(default: out/compare)"
-    )
-    parser.set_defaults(run=run)
+    epilog = "exit codes: 0 written, 2 nothing written"
+    add = add_command(subparsers, "compare", run, __doc__, epilog=epilog).add_argument
+    add("runs", type=Path, nargs="+", metavar="RUN", help="at least two; a group of several is better")
+    add("--out", type=Path, metavar="FOLDER", default=Path("out/compare"), help="(default: out/compare)")
 
 
-@refusing("compare", status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit code."""
-    from tactile_records.runs.comparison import read_compared
-    from tactile_records.runs.comparison_page import NUMBERS, compared, write_comparison
-
     if len(arguments.runs) < 2:
         raise ValueError("one run is nothing to compare; name two or more")
     runs = read_compared(arguments.runs)
@@ -60,7 +54,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _show(one: Comparison, console: Console) -> None:
-    from tactile_records.runs.comparison_page import doubt, spread, summary
 
     for group in one.groups:
         say(console, f"{one.arm}, group {group.name}: {', '.join(run.source for run in group.runs)}")

@@ -1,4 +1,7 @@
-"""The command `tactile completion`: a script by which a shell completes commands, options and names."""
+"""Print a script by which a shell completes commands, options, names of tasks and scenes, and files.
+
+It needs shtab. In a checkout `. scripts/env.sh` has done it; elsewhere: eval "$(tactile completion bash)"
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_base.config_paths import config_names
+from tactile_bringup.commands.changes import add_command
 
 SHELLS = ("bash", "zsh")
 #: Folder of the configuration that the value of an argument is named in, by the argument.
@@ -26,25 +30,14 @@ _ZSH = """{function}() {{
 
 
 def register(subparsers: Any) -> None:
-    """Add `completion` to argparse subparsers; sets `run`, a callable of the arguments."""
-    parser = subparsers.add_parser(
-        "completion",
-        help="print a script that completes commands for a shell",
-        description="Print a script that completes commands, options, names of tasks and scenes, and files "
-        "(needs shtab). In a checkout `. scripts/env.sh` has done it; elsewhere: "
-        'eval "$(tactile completion bash)"',
-    )
-    parser.add_argument("shell", choices=SHELLS)
-    parser.set_defaults(run=run_completion)
+    add_command(subparsers, "completion", run, __doc__).add_argument("shell", choices=SHELLS)
 
 
-def run_completion(arguments: argparse.Namespace) -> int:
-    """`tactile completion`: returns the exit status."""
+def run(arguments: argparse.Namespace) -> int:
     try:
         import shtab
-    except ModuleNotFoundError:
-        print(f"tactile completion needs shtab: {sys.executable} -m pip install shtab", file=sys.stderr)
-        return 2
+    except ModuleNotFoundError as error:
+        raise ValueError(f"needs shtab: {sys.executable} -m pip install shtab") from error
     from tactile_bringup.cli import command_line
 
     parser = command_line()
@@ -61,7 +54,6 @@ def run_completion(arguments: argparse.Namespace) -> int:
 
 
 def _complete(action: argparse.Action, files: Any) -> None:
-    """Say how the value of an argument is completed, where that is known."""
     if action.dest in _NAMED:
         action.complete = dict.fromkeys(SHELLS, _function(_NAMED[action.dest]))  # type: ignore[attr-defined]
     elif action.type is Path:

@@ -1,4 +1,4 @@
-"""`tactile data`: makes data sets, simulated, with an arm or of other labs, and checks them."""
+"""Make data sets, simulated or with an arm, import those of other labs, and check them."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from tactile_bringup.commands import data_check as check_command
 from tactile_bringup.commands import data_collect as collect_command
 from tactile_bringup.commands import data_generate as generate_command
 from tactile_bringup.commands import data_import as import_command
+from tactile_bringup.commands.changes import add_group
 
 
 def register(subparsers: Any) -> None:
-    """Add `data` with its subcommands to argparse subparsers."""
-    data = subparsers.add_parser("data", help="make, import and check data sets")
-    commands = data.add_subparsers(dest="data_command", metavar="COMMAND", required=True)
+    commands = add_group(subparsers, "data", __doc__)
     for module in (generate_command, collect_command, import_command, check_command):
         module.register(commands)

@@ -6,7 +6,7 @@ import argparse
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -15,11 +15,14 @@ from rich.text import Text
 from tactile_base.console import number_table, say
 from tactile_base.progress import Progress
 from tactile_base.whole_file import room_for_results
-from tactile_bringup.commands.changes import refusing
+from tactile_bringup.commands.changes import add_command
+from tactile_perception.datasets import check_plots
+from tactile_perception.datasets.check import CheckResult, check
+from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.datasets.layout import data_folders
+from tactile_perception.datasets.table import CONVENTIONS_NAME, ConventionSettings
 from tactile_perception.estimating.labels import EULER_COMPONENTS, EULER_TITLES
-
-if TYPE_CHECKING:
-    from tactile_perception.datasets.check import CheckResult
+from tactile_perception.markers.flow import FlowSettings
 
 EXIT_CODES = """exit codes: 0 nothing wrong was found (warnings are no error, but see --strict);
 1 labels or images are wrong; 2 the folder cannot be read as a data set"""
@@ -27,31 +30,18 @@ STYLES = {"ok": "green", "note": "cyan", "warning": "yellow", "error": "red"}
 
 
 def register(commands: Any) -> None:
-    """Add `check` to the subparsers of `tactile data`."""
-    parser = commands.add_parser(
-        "check", help="ranges, coverage, signs and frames of a data set", description=__doc__,
-        epilog=EXIT_CODES,
-    )  # fmt: skip
-    add = parser.add_argument
+    help = "ranges, coverage, signs and frames of a data set"
+    add = add_command(commands, "check", run, __doc__, help=help, epilog=EXIT_CODES).add_argument
     add("folder", type=Path, help="data folder, or one of parts (train, val)")
     add("--out", type=Path, metavar="DIR", help="write pictures and check.json there")
     add("--samples", type=int, default=1000, metavar="N", help="images in which markers are followed (1000)")
     add("--seed", type=int, default=0, help="of their choice")
     add("--strict", action="store_true", help="end with exit code 1 for warnings too")
-    add("--write-conventions", action="store_true",
-        help="where signs or units are others and there is one way to correct them, write conventions.json",
-    )  # fmt: skip
-    parser.set_defaults(run=run)
+    text = "where signs or units are others and there is one way to correct them, write conventions.json"
+    add("--write-conventions", action="store_true", help=text)
 
 
-@refusing("data check", status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """`tactile data check`: returns the exit status."""
-    from tactile_perception.datasets.check import check
-    from tactile_perception.datasets.dataset import open_folder
-    from tactile_perception.datasets.layout import data_folders
-    from tactile_perception.markers.flow import FlowSettings
-
     console = Console()
     settings = FlowSettings(samples=arguments.samples, seed=arguments.seed)
     if arguments.out is not None:
@@ -92,8 +82,6 @@ def show(result: CheckResult, console: Console) -> None:
 
 def write_conventions(result: CheckResult) -> str:
     """Write `conventions.json` if there is one way to correct the labels; returns what was done, in words."""
-    from tactile_perception.datasets.table import CONVENTIONS_NAME, ConventionSettings
-
     found = result.conventions
     path = result.folder.folder / CONVENTIONS_NAME
     if found is None or path.exists():
@@ -109,9 +97,6 @@ def write_conventions(result: CheckResult) -> str:
 
 
 def _write(result: CheckResult, folder: Path) -> None:
-    """Write pictures and `check.json`."""
-    from tactile_perception.datasets import check_plots
-
     folder.mkdir(parents=True, exist_ok=True)
     check_plots.draw_labels(result, folder / "labels.png")
     check_plots.draw_rows(result, folder / "rows.png")

@@ -1,4 +1,7 @@
-"""`tactile data collect`: a labelled data set with an arm, simulated or real, over the ROS graph."""
+"""Press and shear an arm's tactile sensor against a flat surface, as the paper does.
+
+An image and a label of each contact are kept. The same command goes on after an interruption.
+"""
 
 from __future__ import annotations
 
@@ -13,26 +16,33 @@ from rich.console import Console
 
 from tactile_base.console import lasting_console, say
 from tactile_base.settings import SettingError, unknown_name
-from tactile_base.yaml_file import name_and_value
-from tactile_bringup.commands.changes import add_set_option, natural_int, positive_int, refusing
+from tactile_base.whole_file import check_folder
+from tactile_base.yaml_file import name_and_value, read_yaml
+from tactile_bringup.commands.changes import add_command, add_set_option, natural_int, positive_int
+from tactile_bringup.commands.launch import EXIT_CODES, add_rehearse_option, graph_options
+from tactile_bringup.graph import Graph, build_graph
+from tactile_bringup.run_sequence import ArmPlan
+from tactile_bringup.staged_arm import arm_of
+from tactile_control.task_file import NamedGoal, Role
+from tactile_doubles.rehearsal import rehearsed
+from tactile_geometry import se3
+from tactile_perception.datasets.dataset import DatasetError, open_folder
+from tactile_perception.datasets.writer import IMAGE_KINDS, DatasetWriter
+from tactile_records.collecting.geometry import contact_frame
+from tactile_records.collecting.parameters import check_same_run
+from tactile_records.collecting.sample_store import found_surface
+from tactile_records.collecting.settings import TASK, CollectionGoal, DataCollectionSettings
+from tactile_scene.sampling import VALIDATION_START
+from tactile_scene.scene import ArmScene, BodyScene, Scene
+from tactile_scene.scene_file import load_scene
 
 if TYPE_CHECKING:
-    from tactile_bringup.graph import Graph
     from tactile_bringup.launching.launcher import Outcome
-    from tactile_records.collecting.settings import DataCollectionSettings
-    from tactile_scene.scene import ArmScene, BodyScene, Scene
-
-DESCRIPTION = """Press and shear an arm's tactile sensor against a flat surface, as the paper does, and keep
-an image and a label of each contact. The same command goes on after an interruption."""
 
 
 def register(commands: Any) -> None:
-    """Add `collect` to the subparsers of `tactile data`."""
-    from tactile_bringup.commands.launch import EXIT_CODES, add_rehearse_option
-
-    parser = commands.add_parser(
-        "collect", help="labelled images with an arm", description=DESCRIPTION, epilog=EXIT_CODES
-    )
+    help = "labelled images with an arm"
+    parser = add_command(commands, "collect", run, __doc__, help=help, epilog=EXIT_CODES)
     add = parser.add_argument
     add("out", type=Path, help="data folder")
     add("--scene", default="plane", metavar="NAME", help="scene, or a scene file (plane)")
@@ -41,8 +51,8 @@ def register(commands: Any) -> None:
     add("--validation", action="store_true", help="other poses than the training data of the same seed")
     add("--arm", metavar="NAME", help="which arm (default: the one with a camera)")
     add("--surface", metavar="NAME", help="which surface (default: the only plane)")
-    add("--touch", type=natural_int, default=0, metavar="N",
-        help="find the surface first: 1 touch for its height, 3 and more for its tilt too (0)")  # fmt: skip
+    text = "find the surface first: 1 touch for its height, 3 and more for its tilt too (0)"
+    add("--touch", type=natural_int, default=0, metavar="N", help=text)
     add("--images", default="both", help="keep processed images, raw ones, or both (both)")
     add("--config", type=Path, help="YAML file with sections of settings (docs/data.md)")
     add_set_option(parser, "one of them", "SECTION.NAME=VALUE")
@@ -52,7 +62,6 @@ def register(commands: Any) -> None:
     add_rehearse_option(parser)
     add("--headless", action="store_true", help="plain lines in place of the live display")
     add("--logs", type=Path, default=Path("out/runs"), metavar="FOLDER", help="for logs")
-    parser.set_defaults(run=run)
 
 
 @dataclass(frozen=True)
@@ -64,9 +73,7 @@ class Plan:
     missing: int
 
 
-@refusing("data collect", status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """`tactile data collect`: returns the exit status."""
     console, status = lasting_console(), 0
     plan = make_plan(arguments)
     say(console, f"{plan.missing} of {plan.samples} samples are missing")
@@ -90,9 +97,6 @@ def _launch(plan: Plan, arguments: argparse.Namespace, console: Console) -> Outc
 
 def _contents(folder: Path) -> list[str]:
     """What the folder holds now, and where touches have found the surface."""
-    from tactile_perception.datasets.dataset import DatasetError, open_folder
-    from tactile_records.collecting.sample_store import found_surface
-
     try:
         surface = found_surface(folder)
         return [*([surface[1]] if surface else []), *open_folder(folder).report.lines()]
@@ -105,19 +109,6 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
 
     Raises `SettingError`, `ValueError` or `OSError` with what is wrong and what would be right.
     """
-    from tactile_base.whole_file import check_folder
-    from tactile_bringup.commands.launch import graph_options
-    from tactile_bringup.graph import build_graph
-    from tactile_bringup.run_sequence import ArmPlan
-    from tactile_control.task_file import NamedGoal, Role
-    from tactile_doubles.rehearsal import rehearsed
-    from tactile_geometry import se3
-    from tactile_perception.datasets.writer import IMAGE_KINDS, DatasetWriter
-    from tactile_records.collecting.parameters import check_same_run
-    from tactile_records.collecting.settings import TASK, CollectionGoal
-    from tactile_scene.sampling import VALIDATION_START
-    from tactile_scene.scene_file import load_scene
-
     check_folder(arguments.out)
     if arguments.images not in IMAGE_KINDS:
         raise ValueError(f"--images {arguments.images}: must be one of {', '.join(IMAGE_KINDS)}")
@@ -125,7 +116,8 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         raise ValueError(f"--record {arguments.record}: exists already; remove it or record elsewhere")
     scene = load_scene(arguments.scene)
     scene = rehearsed(scene) if arguments.rehearse else scene
-    arm = chosen_arm(scene, arguments.arm)
+    what = "an arm whose sensor gives images"
+    arm = arm_of(scene, arguments.arm, lambda arm: scene.gives_images(arm.name), what)
     surface = chosen_surface(scene, arm, arguments.surface)
     settings = chosen_settings(arguments.config, arguments.changes, arguments.touch).replaced(
         data__folder=str(arguments.out.absolute()),
@@ -136,27 +128,16 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         samples=arguments.samples, seed=arguments.seed, first=VALIDATION_START if arguments.validation else 0
     )
     robot = arm.driver + " (double)" * arguments.rehearse
-    what: dict[str, Any] = {"seed": goal.seed, "first": goal.first}
-    what |= {"images": settings.data.images, "frame": settings.data.frame}
-    what |= {name: dataclasses.asdict(settings.group(name)) for name in ("sampling", "preprocessing")}
-    check_same_run(arguments.out, {"robot": robot, "scene": scene.name, "arm": arm.name, **what})
+    same: dict[str, Any] = {"seed": goal.seed, "first": goal.first}
+    same |= {"images": settings.data.images, "frame": settings.data.frame}
+    same |= {name: dataclasses.asdict(settings.group(name)) for name in ("sampling", "preprocessing")}
+    check_same_run(arguments.out, {"robot": robot, "scene": scene.name, "arm": arm.name, **same})
     with DatasetWriter(arguments.out, settings.preprocessing, arguments.images) as writer:
         missing = len(set(range(1, arguments.samples + 1)) - writer.done)
     goals = (NamedGoal(f"{missing} samples", goal),)
     plan = ArmPlan(arm.name, Role("collector", TASK, settings, goals), goals)
     graph = build_graph(TASK, scene, [plan], graph_options(arguments, changes=()))
     return Plan(graph, arguments.samples, missing)
-
-
-def chosen_arm(scene: Scene, name: str | None) -> ArmScene:
-    """The arm of that name, or the only one with a camera."""
-    with_camera = {name: arm for name, arm in scene.arms.items() if scene.gives_images(name)}
-    if name is None and len(with_camera) == 1:
-        return next(iter(with_camera.values()))
-    if name in with_camera:
-        return with_camera[name]
-    listed = ", ".join(with_camera) or "none"
-    raise ValueError(f"{scene.path}: --arm must name an arm whose sensor gives images; there are: {listed}")
 
 
 def chosen_surface(scene: Scene, arm: ArmScene, name: str | None) -> BodyScene:
@@ -180,8 +161,6 @@ def chosen_surface(scene: Scene, arm: ArmScene, name: str | None) -> BodyScene:
 
 def frame_on(scene: Scene, surface: BodyScene, arm: ArmScene) -> Any:
     """T_base_f (4, 4): the contact frame on the surface, under where the arm starts."""
-    from tactile_records.collecting.geometry import contact_frame
-
     assert arm.sensor is not None
     T_base_surface = scene.T_base_body(arm.name, surface.name)
     return contact_frame(T_base_surface, arm.T_base_start, arm.sensor.settings.tip_radius)
@@ -189,23 +168,19 @@ def frame_on(scene: Scene, surface: BodyScene, arm: ArmScene) -> Any:
 
 def chosen_settings(file: Path | None, changes: list[str], touches: int) -> DataCollectionSettings:
     """The task's settings from their defaults, a file and the command line."""
-    from tactile_base.yaml_file import read_yaml
-    from tactile_records.collecting.settings import DataCollectionSettings
-
     settings = DataCollectionSettings().replaced(touch__points=touches)
     names = [name for name in settings.group_names() if name != "data"]  # that has options of its own
-    groups: dict[str, Any] = {name: settings.group(name) for name in names}
     if file is not None:
         root = read_yaml(file)
-        root.allow(*groups)
+        root.allow(*names)
         for name in root.values:
-            section = root.section(name)
-            given = dataclasses.asdict(groups[name]) | section.values
-            groups[name] = section.checked(type(groups[name]), given)
+            section, group = root.section(name), settings.group(name)
+            checked: Any = section.checked(type(group), vars(group) | section.values)
+            settings = dataclasses.replace(settings, **{name: checked})
     for change in changes:
         path, value = name_and_value(change, "motion.contact_speed=0.01")
-        group, dot, name = path.partition(".")
-        if not dot or group not in groups:
-            raise SettingError(f"--set {change}: {unknown_name(group, names)}, then a dot and a name")
-        groups[group] = groups[group].replaced(**{name: value})
-    return dataclasses.replace(settings, **groups)
+        name, dot, key = path.partition(".")
+        if not dot or name not in names:
+            raise SettingError(f"--set {change}: {unknown_name(name, names)}, then a dot and a name")
+        settings = settings.merged({name: {key: value}}, f"--set {change}")
+    return settings

@@ -1,4 +1,7 @@
-"""The command `tactile data generate`: labelled images of the simulated sensor in the public layout."""
+"""Press and shear the simulated TacTip as the paper does; write OUT/train and OUT/val in the public layout.
+
+The same command goes on after an interruption; a sample depends on seed and number only.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +20,11 @@ from tactile_base.progress import Progress, duration
 from tactile_base.whole_file import check_folder
 from tactile_base.yaml_file import read_yaml
 from tactile_bringup.commands.changes import (
+    add_command,
     add_job_options,
     add_set_option,
     changed_settings,
     natural_int,
-    refusing,
     workers_of,
 )
 from tactile_perception.datasets.writer import DatasetWriter, as_png, write_processed
@@ -32,13 +35,8 @@ from tactile_sim.collection import CollectionSettings, Collector, SensorFile, lo
 
 
 def register(commands: Any) -> None:
-    """Add `generate` to the subparsers of `tactile data`."""
-    parser = commands.add_parser(
-        "generate",
-        help="labelled images of the simulated TacTip",
-        description="Press and shear the simulated TacTip as the paper does; write OUT/train and OUT/val. "
-        "The same command goes on after an interruption; a sample depends on seed and number only.",
-    )
+    help = "labelled images of the simulated TacTip"
+    parser = add_command(commands, "generate", run_generate, __doc__, help=help, status=1)
     add = parser.add_argument
     add("out", type=Path, help="folder for train/ and val/")
     add("--train", type=natural_int, metavar="N", help="training samples (6000; none with --val alone)")
@@ -48,12 +46,9 @@ def register(commands: Any) -> None:
     add("--sensor", metavar="NAME", help="one of config/sensors, or a file (default: the built-in sensor)")
     add("--config", type=Path, help="YAML file with collection settings (SI)")
     add_set_option(parser, "change one of them")
-    parser.set_defaults(run=run_generate)
 
 
-@refusing("data generate")
 def run_generate(arguments: argparse.Namespace) -> int:
-    """`tactile data generate`: returns the exit status."""
     console = Console(stderr=True)
     try:
         check_folder(arguments.out)
@@ -88,7 +83,6 @@ def _generate_split(
     start: int,
     console: Console,
 ) -> None:
-    """Generate what is missing of one split."""
     folder = arguments.out / name
     preprocessing = PreprocessingSettings()
     parameters = {"robot": "sim", "seed": arguments.seed, **dataclasses.asdict(settings)}

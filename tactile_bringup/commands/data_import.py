@@ -5,53 +5,38 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 
 from tactile_base.console import say
 from tactile_base.progress import Progress
 from tactile_base.whole_file import check_folder, room_for_results
-from tactile_bringup.commands.changes import positive_int, refusing
+from tactile_bringup.commands.changes import add_command, positive_int
 from tactile_bringup.commands.data_check import EXIT_CODES, show
-
-if TYPE_CHECKING:
-    from tactile_perception.datasets.dataset import TactileFolder
-    from tactile_perception.datasets.mapping import UnknownTable
+from tactile_perception.datasets.check import check
+from tactile_perception.datasets.dataset import TactileFolder
+from tactile_perception.datasets.importing import check_outside, import_folder
+from tactile_perception.datasets.layout import LABELS_NAME, TARGETS_NAME, DatasetError, data_folders
+from tactile_perception.datasets.mapping import UnknownTable, read_mapping
+from tactile_perception.datasets.sample_sheet import draw_samples
+from tactile_perception.markers.flow import FlowSettings
 
 TEMPLATE_NAME = "mapping.yaml"
 SHEET_NAME = "samples.png"
 
 
 def register(commands: Any) -> None:
-    """Add `import` to the subparsers of `tactile data`."""
-    parser = commands.add_parser(
-        "import", help="bring another lab's data into our layout", description=__doc__, epilog=EXIT_CODES
-    )
-    add = parser.add_argument
+    help = "bring another lab's data into our layout"
+    add = add_command(commands, "import", run, __doc__, help=help, epilog=EXIT_CODES).add_argument
     add("folder", type=Path, help="their data folder, or one of parts (train, train_data, val, val_data)")
     add("--out", type=Path, required=True, metavar="DIR", help="folder for the imported data")
     add("--mapping", type=Path, metavar="FILE", help="which of their columns is what, if they are not known")
-    add(
-        "--samples",
-        type=positive_int,
-        default=1000,
-        metavar="N",
-        help="images in which markers are followed (1000)",
-    )
-    parser.set_defaults(run=run)
+    text = "images in which markers are followed (1000)"
+    add("--samples", type=positive_int, default=1000, metavar="N", help=text)
 
 
-@refusing("data import", status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """`tactile data import`: returns the exit status."""
-    from tactile_perception.datasets.check import check
-    from tactile_perception.datasets.importing import check_outside, import_folder
-    from tactile_perception.datasets.layout import TARGETS_NAME, DatasetError, data_folders
-    from tactile_perception.datasets.mapping import UnknownTable, read_mapping
-    from tactile_perception.datasets.sample_sheet import draw_samples
-    from tactile_perception.markers.flow import FlowSettings
-
     console = Console()
     if not arguments.folder.is_dir():
         raise DatasetError(f"{arguments.folder}: is not a folder")
@@ -92,13 +77,12 @@ def _with_template(error: UnknownTable, out: Path) -> str:
 
 
 def _report(source: Path, folder: TactileFolder, said: dict[str, Any]) -> list[str]:
-    """What has been imported, in sentences."""
-    from tactile_perception.datasets.layout import LABELS_NAME
-
     facts = said["images"]
     size = f" of {facts['width']}x{facts['height']}" if "width" in facts else ""
     circle = ", dark outside a circle" if facts.get("circular") else ""
-    forces = f"; forces {', '.join(folder.forces)} in N (to train on them: tactile train --model surface_force)" if folder.forces else ""
+    forces = ""
+    if folder.forces:
+        forces = f"; forces {', '.join(folder.forces)} in N (train on them with --model surface_force)"
     return [
         *(f"{source}: {note.strip()}" for note in said["notes"]),
         f"{source}: {len(folder)} samples imported to {folder.folder}",

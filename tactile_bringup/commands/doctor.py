@@ -17,18 +17,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_base.requirements import REQUIREMENTS
-from tactile_bringup.commands.changes import refusing
+from tactile_bringup.commands.changes import add_command
 from tactile_bringup.commands.launch import add_time_options, time_options
 
 if TYPE_CHECKING:
     from tactile_bringup.findings import Finding
 
 PACKAGES = ("tactile_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs", "diagnostic_msgs", "lifecycle_msgs")
-COMPILED = (
-    "tactile_geometry._se3",
-    "tactile_filter._fusion",
-    "tactile_sim._contact",
-)
+COMPILED = ("tactile_geometry._se3", "tactile_filter._fusion", "tactile_sim._contact")
 SHARED_MEMORY_NEEDED = 64 * 1024 * 1024  # bytes: images and port segments of two arms
 
 
@@ -37,14 +33,12 @@ class Missing(RuntimeError):
 
 
 def register(subparsers: Any) -> None:
-    """Add `doctor`."""
-    parser = subparsers.add_parser("doctor", help="check this machine and environment", description=__doc__)
+    parser = add_command(subparsers, "doctor", run, __doc__, wrong=(RuntimeError,))
     add = parser.add_argument
     add("--timing", action="store_true", help="how well this machine keeps time")
     add("--scene", default="", metavar="NAME", help="with --timing: whose camera and arm are looked at, too")
     add("--arm", default="", metavar="NAME", help="which of its arms (default: the only one)")
     add_time_options(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -52,7 +46,6 @@ def run(arguments: argparse.Namespace) -> int:
     return _timing(arguments) if arguments.timing else _all_there()
 
 
-@refusing("doctor", RuntimeError, status=2)
 def _timing(arguments: argparse.Namespace) -> int:
     from tactile_bringup.findings import show
     from tactile_bringup.staged_arm import arm_of

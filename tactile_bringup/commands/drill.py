@@ -20,7 +20,12 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from tactile_bringup.commands.changes import refusing
+from rich.console import Console
+
+from tactile_base.console import say
+from tactile_base.settings import unknown_name
+from tactile_base.whole_file import room_for_results
+from tactile_bringup.commands.changes import add_command
 from tactile_bringup.commands.launch import (
     TASK_HELP,
     add_rehearse_option,
@@ -30,21 +35,19 @@ from tactile_bringup.commands.launch import (
     time_options,
 )
 from tactile_bringup.commands.simulate import prepared
+from tactile_bringup.drill import Drill, Outcome, faults
+from tactile_bringup.graph import load_graph
+from tactile_scene.scene import SIM
+from tactile_scene.scene_file import load_scene
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from tactile_bringup.drill import Outcome
     from tactile_bringup.launching.live_drill import LiveOutcome
 
 LONGEST = 60.0  # s on the cell's clock, of a goal that ends by itself and does not
 
 
 def register(subparsers: Any) -> None:
-    """Add `drill`."""
-    parser = subparsers.add_parser(
-        "drill", help="have one thing at a time go wrong, and see what comes of it", description=__doc__
-    )
+    parser = add_command(subparsers, "drill", run, __doc__, wrong=(RuntimeError,))
     add = parser.add_argument
     add("task", nargs="?", default="surface_following", help=TASK_HELP)
     add_task_options(parser)
@@ -58,22 +61,12 @@ def register(subparsers: Any) -> None:
     add("--live", action="store_true", help="launch real nodes; processes are killed")
     add_time_options(parser)
     add_rehearse_option(parser)
-    add("--real-arms", action="store_true",
-        help="with --live in place of --rehearse: the arms themselves. A person with a hand on their "
-        "emergency stop, and nothing in reach of them",
-    )  # fmt: skip
-    add("--out", type=Path, metavar="FOLDER", help="where the rows, live runs and reports go "
-        "(default: out/drill)")  # fmt: skip
-    parser.set_defaults(run=run)
+    text = "with --live: the arms themselves, a hand on their emergency stop, and nothing in reach of them"
+    add("--real-arms", action="store_true", help=text)
+    add("--out", type=Path, metavar="FOLDER", help="for rows, live runs and reports (default: out/drill)")
 
 
-@refusing("drill", RuntimeError, status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; 1 where a drill is not passed."""
-    from rich.console import Console
-
-    from tactile_base.whole_file import room_for_results
-
     folder = arguments.out or Path("out") / "drill"
     drills = (_live if arguments.live else _offline)(arguments)
     if arguments.list:
@@ -107,7 +100,6 @@ class _Drills(NamedTuple):
 
 
 def _chosen(arguments: argparse.Namespace, faults: dict[str, Any]) -> dict[str, Any]:
-    """The faults that were asked for."""
     texts = [text.lower() for text in arguments.fault]
     found = {n: f for n, f in faults.items() if not texts or any(text in n.lower() for text in texts)}
     if not found:
@@ -116,7 +108,6 @@ def _chosen(arguments: argparse.Namespace, faults: dict[str, Any]) -> dict[str, 
 
 
 def _offline(arguments: argparse.Namespace) -> _Drills:
-    from tactile_bringup.drill import Drill, faults
 
     scene, task, options = prepared(arguments)
     sensing = [name for name in scene.arms if scene.arms[name].sensor is not None]
@@ -128,7 +119,6 @@ def _offline(arguments: argparse.Namespace) -> _Drills:
 
 
 def _arms(arguments: argparse.Namespace, arms: list[str]) -> tuple[str, ...]:
-    from tactile_base.settings import unknown_name
 
     if arguments.arm and arguments.arm not in arms:
         raise ValueError(f"--arm: {unknown_name(arguments.arm, arms)}")
@@ -136,10 +126,7 @@ def _arms(arguments: argparse.Namespace, arms: list[str]) -> tuple[str, ...]:
 
 
 def _live(arguments: argparse.Namespace) -> _Drills:
-    from tactile_bringup.graph import load_graph
     from tactile_bringup.launching.live_drill import drill_live, live_faults
-    from tactile_scene.scene import SIM
-    from tactile_scene.scene_file import load_scene
 
     graph = load_graph(arguments.task, arguments.scene, graph_options(arguments))
     scene = load_scene(graph.scene_file)
@@ -156,16 +143,15 @@ def _live(arguments: argparse.Namespace) -> _Drills:
 
     def run(folder: Path) -> Iterable[LiveOutcome]:
         runs = folder / time.strftime("%Y%m%d-%H%M%S")
-        for arm, faults in chosen.items():
-            for number, (fault, harm) in enumerate(faults.items()):
+        for arm, found in chosen.items():
+            for number, (fault, harm) in enumerate(found.items()):
                 place = runs / f"{arm}-{number:02d}"
                 yield drill_live(f"{arm}: {fault}", harm, arm, launch, place, arguments.after)
 
-    return _Drills(tuple(dict.fromkeys(name for faults in chosen.values() for name in faults)), run)
+    return _Drills(tuple(dict.fromkeys(name for found in chosen.values() for name in found)), run)
 
 
 def _launch_words(arguments: argparse.Namespace, scene_file: Path) -> list[str]:
-    """The words of `tactile launch` that do what was asked for."""
     launch = [arguments.task, "--scene", str(scene_file), "--seed", str(arguments.seed)]
     for name in ("model", "filter", "controller"):
         if value := getattr(arguments, name):
@@ -177,9 +163,6 @@ def _launch_words(arguments: argparse.Namespace, scene_file: Path) -> list[str]:
 
 
 def _show(console: Console, outcome: Outcome | LiveOutcome, objection: str) -> None:
-    """A row for people."""
-    from tactile_base.console import say
-
     numbers = f"at rest after {outcome.rest:.2f} s" if math.isfinite(outcome.rest) else "never at rest"
     if math.isfinite(outcome.deepest):
         numbers += f", {1e3 * outcome.deepest:.1f} mm deep"

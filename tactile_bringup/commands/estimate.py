@@ -1,4 +1,4 @@
-"""The command `tactile estimate`."""
+"""Estimate a data folder, a video or a camera (by index), without ROS; write a table and a picture."""
 
 from __future__ import annotations
 
@@ -14,21 +14,30 @@ from tactile_base.console import number_table, say
 from tactile_base.input_file import parse_json, read_text
 from tactile_base.progress import Progress
 from tactile_base.whole_file import room_for_results
-from tactile_bringup.commands.changes import natural_int, positive_int, refusing
+from tactile_bringup.commands.changes import add_command, natural_int, positive_int
+from tactile_filter.bayes_filter import ContactFilter
+from tactile_filter.filter_settings import load_filter_settings
+from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.estimating.estimator import Estimator, shipped_model
 from tactile_perception.estimating.labels import EULER_COMPONENTS
+from tactile_perception.estimating.model_metadata import SIMULATED_ONLY
+from tactile_perception.estimating.plots import draw_estimates, draw_series
+from tactile_perception.estimating.run import run_estimates
+from tactile_perception.estimating.sources import (
+    SourceError,
+    folder_frames,
+    read_poses,
+    usable_order,
+    video_frames,
+)
+from tactile_perception.evaluation.filtering import motion_filter, with_motion_noise
 from tactile_records.collecting.parameters import PARAMETERS_NAME
 
 TABLE = "estimates.csv"
 
 
 def register(subparsers: Any) -> None:
-    """Add `estimate` to argparse subparsers; it sets `run`, a callable of the arguments."""
-    parser = subparsers.add_parser(
-        "estimate",
-        help="run images through estimator and filter, without ROS",
-        description="Estimate a data folder, a video or a camera (by index); write a table and a picture.",
-    )
-    add = parser.add_argument
+    add = add_command(subparsers, "estimate", run_estimate, __doc__, status=1).add_argument
     add("source", help="data folder, video file, or index of a camera")
     add("--model", type=Path, default=None, help="ONNX model (default: the shipped one)")
     add("--out", type=Path, default=Path("out/estimate"), help="folder for table and picture")
@@ -36,21 +45,13 @@ def register(subparsers: Any) -> None:
     add("--limit", type=positive_int, metavar="N", help="stop after N images")
     add("--no-filter", action="store_true", help="estimator only")
     add("--smooth", action="store_true", help="let what is filtered know what came later, too")
-    add("--motion-sigma", type=float, default=1.0, metavar="S",
-        help="noise of the motion between a folder's images, in mm and degrees, added and assumed",
-    )  # fmt: skip
+    text = "noise of the motion between a folder's images, in mm and degrees, added and assumed"
+    add("--motion-sigma", type=float, default=1.0, metavar="S", help=text)
     add("--seed", type=natural_int, default=0, help="order of a folder's images, and the motion's noise")
     add("--threads", type=positive_int, default=1, help="CPU threads of the estimator")
-    parser.set_defaults(run=run_estimate)
 
 
-@refusing("estimate")
 def run_estimate(arguments: argparse.Namespace) -> int:
-    """`tactile estimate`: returns the exit status."""
-    from tactile_perception.estimating.estimator import Estimator, shipped_model
-    from tactile_perception.estimating.model_metadata import SIMULATED_ONLY
-    from tactile_perception.estimating.run import run_estimates
-
     console = Console(stderr=True)
     if not arguments.motion_sigma >= 0.0:
         raise ValueError(f"--motion-sigma {arguments.motion_sigma:g}: must not be negative")
@@ -79,10 +80,6 @@ def _from_folder(
     arguments: argparse.Namespace, estimator: Any, console: Console
 ) -> tuple[Any, Any, int | None]:
     """Images, filter (or None) and number of images of a data folder."""
-    from tactile_perception.datasets.dataset import open_folder
-    from tactile_perception.estimating.sources import folder_frames, usable_order
-    from tactile_perception.evaluation.filtering import motion_filter, with_motion_noise
-
     folder = open_folder(arguments.source, estimator.metadata.preprocessing)
     model = estimator.metadata.contact_model
     if model.tangent:
@@ -101,10 +98,6 @@ def _from_folder(
 
 def _from_video(arguments: argparse.Namespace) -> tuple[Any, Any, int | None]:
     """Frames of a video or a camera, and their filter; how many there are, only a limit says."""
-    from tactile_filter.bayes_filter import ContactFilter
-    from tactile_filter.filter_settings import load_filter_settings
-    from tactile_perception.estimating.sources import SourceError, read_poses, video_frames
-
     source: str | int = arguments.source
     if arguments.source.isdecimal():
         source = int(arguments.source)
@@ -125,7 +118,6 @@ def _until_interrupted(frames: Any) -> Any:
 
 
 def _write_estimates(arguments: argparse.Namespace, table: Any) -> None:
-    from tactile_perception.estimating.plots import draw_estimates, draw_series
 
     arguments.out.mkdir(parents=True, exist_ok=True)
     table_path = arguments.out / TABLE

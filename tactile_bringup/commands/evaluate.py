@@ -1,4 +1,7 @@
-"""The command `tactile evaluate`: how accurate trained networks are, how honest, and what a filter adds."""
+"""Measure trained networks on labelled data: the paper's tables and figures, how honest their uncertainty is.
+
+`tactile evaluate filter` runs the paper's filter experiment.
+"""
 
 from __future__ import annotations
 
@@ -10,65 +13,58 @@ from typing import Any
 
 from rich.console import Console
 
-from tactile_base.console import say
+from tactile_base.console import say, wide_console
 from tactile_base.progress import Progress
+from tactile_base.settings import SettingError
 from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import (
+    add_command,
     add_set_option,
     changed_settings,
     natural_int,
     positive_int,
-    refusing,
 )
+from tactile_perception.evaluation import filter_experiment, report
+from tactile_perception.evaluation.evaluate import evaluate, load_data
+from tactile_perception.evaluation.filter_experiment import SIGMAS, Experiment
+from tactile_perception.evaluation.models import open_models
+from tactile_perception.evaluation.plots import draw_all
+from tactile_perception.evaluation.report import paper_tables, summary, write_files
 
 MODES = ("network", "filter")
 
 
 def register(subparsers: Any) -> None:
-    """Add `evaluate` to argparse subparsers; sets `run`, a callable of the arguments."""
-    parser = subparsers.add_parser(
-        "evaluate",
-        help="measure trained networks, alone or with the filter, on labelled images",
-        description="Measure trained networks on a labelled data folder: the paper's tables and figures, "
-        "and how honest their uncertainty is. `tactile evaluate filter` runs the paper's filter experiment.",
-    )
+    parser = add_command(subparsers, "evaluate", run_evaluate, __doc__, status=1)
     add = parser.add_argument
     add("mode", nargs="?", choices=MODES, default="network", help="what to measure (network)")
     add("--data", type=Path, required=True, help="labelled folder of the public layout")
-    add("--model", type=Path, nargs="+", required=True, metavar="RUN",
-        help="run folders of `tactile train`, folders of such folders, or ONNX files")  # fmt: skip
+    text = "run folders of `tactile train`, folders of such folders, or ONNX files"
+    add("--model", type=Path, nargs="+", required=True, metavar="RUN", help=text)
     add("--out", type=Path, help="folder for tables and figures (out/evaluate)")
     add("--json", action="store_true", help="print the results as JSON instead of tables")
     add("--ensemble", action="store_true", help="also all of these models together, moment-matched")
-    add("--calibrate", type=Path, metavar="DIR",
-        help="calibrate on this labelled folder, which no model was trained on, not as the model files say",
-    )  # fmt: skip
+    text = "calibrate on this labelled folder, which no model was trained on, not as the model files say"
+    add("--calibrate", type=Path, metavar="DIR", help=text)
     add("--limit", type=positive_int, metavar="N", help="use only N samples, spread over the table")
     add("--threads", type=natural_int, default=0, help="CPU threads of an inference (0: all cores)")
     add("--no-figures", action="store_true", help="tables only")
-    add(
-        "--paper",
-        action="store_true",
-        help="the paper's results, too (filter: in brackets, + if reached)",
-    )
+    add("--paper", action="store_true", help="the paper's results, too (filter: in brackets, + if reached)")
     _register_filter(parser.add_argument_group("filter"))
-    parser.set_defaults(run=run_evaluate)
 
 
 def _register_filter(group: Any) -> None:
     add = group.add_argument
-    add("--sigma", type=float, nargs="+", metavar="S",
-        help="noises sigma_psi of the motion in mm and degrees (inf 10 1 0.1 0.01)")  # fmt: skip
+    text = "noises sigma_psi of the motion in mm and degrees (inf 10 1 0.1 0.01)"
+    add("--sigma", type=float, nargs="+", metavar="S", help=text)
     add("--seed", type=natural_int, default=0, help="order of the samples and noise of the motion (0)")
     add("--repeat", type=positive_int, default=1, metavar="N", help="mean over N orders, from --seed on")
-    add("--estimate-noise", action="store_true",
-        help="also with sigma_phi estimated from the innovations of the first 500 samples")  # fmt: skip
+    text = "also with sigma_phi estimated from the innovations of the first 500 samples"
+    add("--estimate-noise", action="store_true", help=text)
     add_set_option(group, "change a setting of the filter (the paper's, without a gate)")
 
 
-@refusing("evaluate")
 def run_evaluate(arguments: argparse.Namespace) -> int:
-    """`tactile evaluate`: returns the exit status."""
     console = Console(stderr=True)
     run = _run_filter if arguments.mode == "filter" else _run_network
     say(console, f"files: {run(arguments, console)}")
@@ -76,24 +72,19 @@ def run_evaluate(arguments: argparse.Namespace) -> int:
 
 
 def _run_network(arguments: argparse.Namespace, console: Console) -> Path:
-    from tactile_perception.evaluation.report import summary, write_files
 
     data, results, out = _predict(arguments, console)
     write_files(out, data, results)
     if not arguments.no_figures:
-        from tactile_perception.evaluation.plots import draw_all
-
         draw_all(out, data, results)
     if arguments.json:
         print(json.dumps(summary(data, results), allow_nan=False))
     else:
-        _print_tables(_wide_console(), results, arguments.paper)
+        _print_tables(wide_console(), results, arguments.paper)
     return out
 
 
 def _run_filter(arguments: argparse.Namespace, console: Console) -> Path:
-    from tactile_perception.evaluation import filter_experiment
-    from tactile_perception.evaluation.report import paper_tables
 
     experiment = _experiment(arguments)
     data, results, out = _predict(arguments, console)
@@ -112,13 +103,11 @@ def _run_filter(arguments: argparse.Namespace, console: Console) -> Path:
     else:
         goal = paper_tables().filter if arguments.paper else None
         for table in filter_experiment.filter_tables(found, goal):
-            _wide_console().print(table)
+            wide_console().print(table)
     return out
 
 
 def _experiment(arguments: argparse.Namespace) -> Any:
-    from tactile_base.settings import SettingError
-    from tactile_perception.evaluation.filter_experiment import SIGMAS, Experiment
 
     for sigma in arguments.sigma or ():
         if not sigma > 0.0:
@@ -133,9 +122,6 @@ def _experiment(arguments: argparse.Namespace) -> Any:
 
 def _predict(arguments: argparse.Namespace, console: Console) -> tuple[Any, Any, Path]:
     """Data, results of each model, and the folder for files; says what there is to know about the data."""
-    from tactile_perception.evaluation.evaluate import evaluate, load_data
-    from tactile_perception.evaluation.models import open_models
-
     out = arguments.out or Path("out/evaluate")
     room_for_results(out, "results.json", "filter.csv", source=arguments.data)  # before the images are read
     models = open_models(arguments.model, arguments.threads)
@@ -153,7 +139,6 @@ def _predict(arguments: argparse.Namespace, console: Console) -> tuple[Any, Any,
 
 
 def _print_tables(console: Console, results: Any, paper: bool) -> None:
-    from tactile_perception.evaluation import report
 
     console.print(report.accuracy_table(results, report.paper_tables() if paper else None))
     for name, members in report.groups(results).items():
@@ -162,9 +147,3 @@ def _print_tables(console: Console, results: Any, paper: bool) -> None:
             console.print(table)
         console.print(report.bins_table(members, name, "by_depth"))
         console.print(report.bins_table(members, name, "by_shear"))
-
-
-def _wide_console() -> Console:
-    """Into a file or pipe, tables are not broken to the 80 columns of no terminal."""
-    console = Console()
-    return console if console.is_terminal else Console(width=160)

@@ -1,4 +1,4 @@
-"""`tactile experiment`: the paper's tables of pushing, maps of where it works, and real pushes."""
+"""The paper's tables of pushing, maps of where it works, and friction models on real pushes."""
 
 from __future__ import annotations
 
@@ -6,59 +6,66 @@ import argparse
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich import box
 from rich.console import Console
 
-from tactile_base.console import number_table, say
+from tactile_base.array_math import array_math
+from tactile_base.console import number_table, say, wide_console
+from tactile_base.jobs import JobRows, Row, run_jobs
 from tactile_base.progress import Progress
 from tactile_base.whole_file import check_folder
 from tactile_bringup.commands.changes import (
+    add_command,
+    add_group,
     add_job_options,
     add_set_option,
     natural_int,
     positive_int,
-    refusing,
     workers_of,
 )
-
-if TYPE_CHECKING:
-    from tactile_base.jobs import Row
-    from tactile_bringup.experiments.pushing import Common, Trial
-
-WIDTH = 160  # columns of the table where there is no terminal
+from tactile_bringup.commands.simulate import deliver
+from tactile_bringup.experiments import real_pushes_results as results
+from tactile_bringup.experiments.pushing import (
+    PLANE,
+    Common,
+    Trial,
+    check_trial,
+    map_of,
+    table_of,
+    trial_row,
+    trial_run,
+)
+from tactile_bringup.experiments.pushing_plane import batches, plane_rows
+from tactile_bringup.experiments.pushing_results import (
+    COLUMNS,
+    cell,
+    failures,
+    table_rows,
+    write_map,
+    write_table,
+)
+from tactile_records.collecting.parameters import check_same_run
 
 
 def register(subparsers: Any) -> None:
-    """Add `experiment`."""
-    experiment = subparsers.add_parser(
-        "experiment",
-        help="many trials of a task in simulation, and friction models on real pushes",
-        description="The paper's tables of pushing, maps of where it works, and friction on real pushes.",
-    )
-    kinds = experiment.add_subparsers(dest="what", required=True, metavar="EXPERIMENT")
+    kinds = add_group(subparsers, "experiment", __doc__)
     _register_pushing(kinds)
     _register_real_pushes(kinds)
 
 
 def _register_pushing(kinds: Any) -> None:
-    parser = kinds.add_parser(
-        "pushing",
-        help="the paper's tables, maps of where pushing works",
-        description="Runs trials of pushing without ROS, on all cores or a cluster, and makes the paper's "
-        "table of them or a map. The same command goes on after an interruption: each trial is kept as a "
-        "line of trials.jsonl and is not done again.",
-        epilog="exit codes: 0 all trials came to the target; 1 some did not; 2 wrong input; 130 interrupted",
-    )
+    help = "the paper's tables, maps of where pushing works"
+    epilog = "exit codes: 0 all trials came to the target; 1 some did not; 2 wrong input; 130 interrupted"
+    parser = add_command(kinds, "pushing", run, help=help, epilog=epilog)
     add = parser.add_argument
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--table", metavar="NAME", help="one of the paper's tables: single, dual or tall")
     which.add_argument("--map", metavar="NAME", help="one of config/experiments/pushing_maps.yaml")
     add("--trials", type=positive_int, default=5, metavar="N", help="of each row, or each place of a map (5)")
-    add("--trial", metavar="NUMBER|NAME",
-        help="run this trial of each row, or place, or that of this name, with report, pictures and record",
-    )  # fmt: skip
+    text = "run this trial of each row, or place, or that of this name, with report, pictures and record"
+    add("--trial", metavar="NUMBER|NAME", help=text)
     add("--seed", type=natural_int, default=0, metavar="N", help="number of the first trial (0)")
     add("--objects", nargs="+", default=(), metavar="NAME", help="(default: all of the table)")
     add("--floors", nargs="+", default=(), metavar="NAME", help="(default: all of the table)")
@@ -75,30 +82,21 @@ def _register_pushing(kinds: Any) -> None:
     add("--arm", default="", metavar="NAME", help="run this arm only (default: all with a role)")
     add_job_options(parser)
     add("--out", type=Path, metavar="FOLDER", help="(default: out/pushing/TABLE-CONTROLLER-FIDELITY)")
-    parser.set_defaults(run=run)
 
 
 def _register_real_pushes(kinds: Any) -> None:
-    parser = kinds.add_parser(
-        "real-pushes",
-        help="three models of friction on the real pushes of Zhou et al. (2016)",
-        description="Predicts the motion of a pushed block by its measured load, and where each push leaves "
-        "it by the finger's way alone, with an ellipsoid, points of support, and a convex polynomial that is "
-        "fitted to other pushes. Medians with 95 % intervals by the bootstrap.",
-        epilog="exit codes: 0 done; 2 wrong input",
-    )
-    parser.add_argument(
-        "folder", type=Path, metavar="FOLDER|FILE", help="files named after what the block stands on"
-    )
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="(default: out/real-pushes)")
-    parser.set_defaults(run=run_real_pushes)
+    help = "three models of friction on the real pushes of Zhou et al. (2016)"
+    add = add_command(kinds, "real-pushes", run_real_pushes, help=help).add_argument
+    add("folder", type=Path, metavar="FOLDER|FILE", help="files named after what the block stands on")
+    add("--out", type=Path, metavar="FOLDER", help="(default: out/real-pushes)")
 
 
-@refusing("experiment", status=2)
 def run_real_pushes(arguments: argparse.Namespace) -> int:
-    """Run `experiment real-pushes`; returns the exit code."""
-    from tactile_bringup.experiments import real_pushes_results as results
+    """Predict the motion of a pushed block by its measured load, and where each push leaves it.
 
+    The latter by the finger's way alone; with an ellipsoid, points of support, and a convex polynomial that
+    is fitted to other pushes. Medians with 95 % intervals by the bootstrap.
+    """
     files = [arguments.folder] if arguments.folder.is_file() else sorted(arguments.folder.glob("*.txt"))
     if not files:
         raise ValueError(f"{arguments.folder}: holds no pushes: must be files as patch.txt, or one of them")
@@ -106,9 +104,7 @@ def run_real_pushes(arguments: argparse.Namespace) -> int:
     check_folder(folder)
     found = results.results_of_files(files)
     shown = number_table("real pushes: medians [95 %]", results.COLUMNS, box=box.SIMPLE_HEAD)
-    console = Console()
-    if not console.is_terminal:
-        console.width = WIDTH
+    console = wide_console()
     for result in found:
         shown.add_row(*results.cells(result))
     console.print(shown)
@@ -117,11 +113,12 @@ def run_real_pushes(arguments: argparse.Namespace) -> int:
     return 0
 
 
-@refusing("experiment", status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit code."""
-    from tactile_bringup.experiments.pushing import PLANE, Common
+    """Run trials of pushing without ROS, on all cores or a cluster; make the paper's table of them or a map.
 
+    The same command goes on after an interruption: each trial is kept as a line of trials.jsonl and is not
+    done again.
+    """
     table, trials_of = _asked(arguments)
     common = Common(
         table,
@@ -151,8 +148,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _asked(arguments: argparse.Namespace) -> tuple[str, Any]:
     """The table, and what makes trials from what they have in common and their numbers."""
-    from tactile_bringup.experiments.pushing import Trial, map_of, table_of
-
     if arguments.map is not None:
         chosen = map_of(arguments.map)
         if arguments.objects or arguments.floors:
@@ -169,7 +164,6 @@ def _asked(arguments: argparse.Namespace) -> tuple[str, Any]:
 
 
 def _named(trials_of: Any, common: Common, name: str) -> list[Trial]:
-    """The trials of a number, or the one of that name."""
     number = name.rpartition("/")[2]
     trials: list[Trial] = trials_of(common, [int(number)]) if number.isdecimal() else []
     chosen = [trial for trial in trials if name in (number, trial.name)]
@@ -183,12 +177,6 @@ def _run_missing(
     trials: list[Trial], common: Common, folder: Path, arguments: argparse.Namespace
 ) -> list[Row]:
     """Run what is not done yet; the rows of all."""
-    from tactile_base.array_math import array_math
-    from tactile_base.jobs import JobRows, run_jobs
-    from tactile_bringup.experiments.pushing import PLANE, check_trial, trial_row
-    from tactile_bringup.experiments.pushing_plane import batches, plane_rows
-    from tactile_records.collecting.parameters import check_same_run
-
     check_trial(trials[0])
     array_math(arguments.device)
     check_same_run(folder, {"experiment": arguments.what, **dataclasses.asdict(common)})
@@ -210,29 +198,13 @@ def _run_missing(
 
 
 def _look_at(trials: list[Trial], folder: Path) -> int:
-    """Run single trials and write all that there is to say of them."""
-    from tactile_bringup.commands.simulate import deliver
-    from tactile_bringup.experiments.pushing import trial_run
-
     codes = [deliver(trial_run(trial), folder / trial.name.replace("/", "-")) for trial in trials]
     return max(codes)
 
 
 def _deliver(arguments: argparse.Namespace, trials: list[Trial], rows: list[Row], folder: Path) -> int:
     """Tables and pictures; the exit code is 1 where a trial did not come to its target."""
-    from tactile_bringup.experiments.pushing import map_of, table_of
-    from tactile_bringup.experiments.pushing_results import (
-        COLUMNS,
-        cell,
-        failures,
-        table_rows,
-        write_map,
-        write_table,
-    )
-
-    console = Console()
-    if not console.is_terminal:
-        console.width = WIDTH
+    console = wide_console()
     for line in failures(rows):
         say(console, line, "yellow")
     if arguments.map is not None:

@@ -1,53 +1,44 @@
-"""`tactile export`: a recording, or the run of `simulate`, as tables for other tools."""
+"""Write recordings, or runs of `simulate`, for other tools.
+
+Poses, estimates, beliefs with covariance, truth, commands and latency of each arm as tables, whose columns
+end in their unit, or trajectories as evo reads them; or recordings with images as one LeRobot data set, an
+episode each.
+"""
 
 from __future__ import annotations
 
 import argparse
 import importlib.util
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from tactile_bringup.commands.changes import positive_int, refusing
-
-if TYPE_CHECKING:
-    from tactile_records.runs.record import RunRecord
+from tactile_base.console import lasting_console, say
+from tactile_base.whole_file import check_folder
+from tactile_bringup.commands.changes import add_command, positive_int
+from tactile_records.runs import export
+from tactile_records.runs.from_bag import read_runs
+from tactile_records.runs.lerobot import write_dataset
+from tactile_records.runs.record import RunRecord
 
 FORMATS = ("csv", "parquet", "tum", "lerobot")
 
 
 def register(subparsers: Any) -> None:
-    """Add `export`."""
-    parser = subparsers.add_parser(
-        "export",
-        help="recordings as CSV, Parquet, TUM or LeRobot, for pandas, PlotJuggler, evo and learning",
-        description="Write poses, estimates, beliefs with covariance, truth, commands and latency of each "
-        "arm as tables, whose columns end in their unit, or trajectories as evo reads them; or recordings "
-        "with images as one LeRobot data set, an episode each.",
-        epilog="Exit codes: 0 written, 2 nothing written.",
-    )
-    add = parser.add_argument
+    epilog = "exit codes: 0 written, 2 nothing written"
+    add = add_command(subparsers, "export", run, __doc__, epilog=epilog).add_argument
     add("runs_of", type=Path, nargs="+", metavar="BAG|RUN", help="a recording, or run.npz of simulate")
     add("--as", dest="form", choices=FORMATS, default="csv", help="(csv)")
     add("--fps", type=positive_int, help="of lerobot: frames a second (default: the first camera's)")
     add("--out", type=Path, metavar="FOLDER", help="(default: beside it, its name with -export)")
-    parser.set_defaults(run=run)
 
 
-@refusing("export", status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit code."""
-    from tactile_base.console import lasting_console, say
-    from tactile_base.whole_file import check_folder
-    from tactile_records.runs.from_bag import read_runs
-
     form, sources = arguments.form, arguments.runs_of
     if form in ("parquet", "lerobot") and importlib.util.find_spec("pyarrow") is None:
         raise ValueError(f"--as {form} needs pyarrow: pip install pyarrow; --as csv needs nothing")
     folder = arguments.out or sources[0].with_name(f"{sources[0].stem}-export")
     check_folder(folder)
     if form == "lerobot":
-        from tactile_records.runs.lerobot import write_dataset
-
         if folder.exists() and any(folder.iterdir()):
             raise ValueError(f"{folder}: is not empty; a data set of its own needs a folder of its own")
         for line in write_dataset(sources, folder, arguments.fps):
@@ -62,7 +53,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _write(record: RunRecord, form: str, folder: Path) -> list[Path]:
-    from tactile_records.runs import export
 
     folder.mkdir(parents=True, exist_ok=True)
     files = []

@@ -1,4 +1,4 @@
-"""The commands `tactile fit ...`: simulated sensors and error models from measured data."""
+"""Fit a simulated sensor, or a model of a network's errors, to measured data."""
 
 from __future__ import annotations
 
@@ -6,30 +6,29 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from tactile_base.console import number_table
 from tactile_base.whole_file import check_file, room_for_files
-from tactile_bringup.commands.changes import natural_int, positive_int, refusing
+from tactile_bringup.commands.changes import add_command, add_group, natural_int, positive_int
+from tactile_bringup.fitting.labelled_markers import track
+from tactile_bringup.fitting.network_error import Ways, compared, drawn, fit
+from tactile_bringup.fitting.sensor import PARAMETERS, Fit, by_depth, improve, loss, write
+from tactile_perception.estimating.estimator import Estimator
+from tactile_perception.estimating.labels import COMPONENTS
+from tactile_sim.collection import SensorFile, load_sensor
 
 
 def register(subparsers: Any) -> None:
-    """Add `fit` to argparse subparsers; its commands set `run`, a callable of the arguments."""
-    parser = subparsers.add_parser("fit", help="fit a simulated sensor, or a model of a network's errors")
-    commands = parser.add_subparsers(dest="fit", metavar="WHAT", required=True)
+    commands = add_group(subparsers, "fit", __doc__)
     _register_sensor(commands)
     _register_network_error(commands)
 
 
 def _register_sensor(commands: Any) -> None:
-    parser = commands.add_parser(
-        "sensor",
-        help="a simulated TacTip from a real one's labelled images",
-        description="Fit camera, markers, skin, friction and the rig's errors of the simulated TacTip to the "
-        "markers of labelled images: about two minutes an iteration with 180 contacts on one core. The "
-        "sensor file is written after every iteration; --start goes on from one.",
-    )
-    add = parser.add_argument
+    help = "a simulated TacTip from a real one's labelled images"
+    add = add_command(commands, "sensor", run_fit_sensor, help=help, status=1).add_argument
     add("data", type=Path, help="labelled folder of the public layout")
     add("--out", type=Path, required=True, metavar="FILE", help="sensor file to write (.yaml)")
     add("--start", metavar="SENSOR", help="sensor, by name or file, to start from (default: built in)")
@@ -38,33 +37,23 @@ def _register_sensor(commands: Any) -> None:
     add("--iterations", type=natural_int, default=10, help="at most (default 10; 0: only --check)")
     add("--check", type=Path, metavar="DATA", help="tell the errors on these images, which are not fitted to")
     add("--seed", type=natural_int, default=1, help="of the choice of contacts")
-    parser.set_defaults(run=run_fit_sensor)
 
 
 def _register_network_error(commands: Any) -> None:
-    parser = commands.add_parser(
-        "network-error",
-        help="how a network errs on simulated images",
-        description="Fit how a network errs along ways in contact, for sensors of fidelity 'fitted', and "
-        "compare the model with the network on contacts held out (about four minutes of one core).",
-    )
-    add = parser.add_argument
+    help = "how a network errs on simulated images"
+    add = add_command(commands, "network-error", run_fit_network_error, help=help, status=1).add_argument
     add("--out", type=Path, required=True, metavar="FILE", help="where the model goes (.npz)")
     add("--model", default="", help="ONNX model (default: the shipped one)")
     add("--contacts", type=positive_int, default=400, help="to fit to (default 400)")
     add("--held-out", type=positive_int, default=100, help="to check with (default 100)")
-    parser.set_defaults(run=run_fit_network_error)
 
 
-@refusing("fit sensor")
 def run_fit_sensor(arguments: argparse.Namespace) -> int:
-    """`tactile fit sensor`: returns the exit status."""
-    import numpy as np
+    """Fit camera, markers, skin, friction and the rig's errors of the simulated TacTip to labelled images.
 
-    from tactile_bringup.fitting.labelled_markers import track
-    from tactile_bringup.fitting.sensor import PARAMETERS, Fit, improve, loss, write
-    from tactile_sim.collection import SensorFile, load_sensor
-
+    Fitted are the markers: about two minutes an iteration with 180 contacts on one core. The sensor file is
+    written after every iteration; --start goes on from one.
+    """
     check_file(arguments.out)
     room_for_files(arguments.out)
     sensor = load_sensor(arguments.start) if arguments.start else SensorFile()
@@ -96,9 +85,6 @@ def run_fit_sensor(arguments: argparse.Namespace) -> int:
 
 def _check(arguments: argparse.Namespace, sensor: Any) -> None:
     """Errors of the markers on contacts that were not fitted to, by depth."""
-    from tactile_bringup.fitting.labelled_markers import track
-    from tactile_bringup.fitting.sensor import Fit, by_depth
-
     others = track(arguments.check, arguments.tracked)
     fit = Fit(others, others.some(arguments.contacts, arguments.seed, least_found=0.0), sensor)
     table = number_table(f"markers on {arguments.check}, px", ["depth", "contacts", "median", "RMS"])
@@ -107,13 +93,11 @@ def _check(arguments: argparse.Namespace, sensor: Any) -> None:
     Console().print(table)
 
 
-@refusing("fit network-error")
 def run_fit_network_error(arguments: argparse.Namespace) -> int:
-    """`tactile fit network-error`: returns the exit status."""
-    from tactile_bringup.fitting.network_error import Ways, compared, drawn, fit
-    from tactile_perception.estimating.estimator import Estimator
-    from tactile_perception.estimating.labels import COMPONENTS
+    """Fit how a network errs along ways in contact, for sensors of fidelity 'fitted'.
 
+    The model is compared with the network on contacts held out (about four minutes of one core).
+    """
     check_file(arguments.out)
     room_for_files(arguments.out)
     estimator = Estimator(arguments.model)

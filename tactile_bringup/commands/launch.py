@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_bringup.commands.changes import add_set_option
+from rich.console import Console
+
+from tactile_base.console import lasting_console
+from tactile_base.whole_file import check_folder
+from tactile_bringup.commands.changes import add_command, add_set_option
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from tactile_bringup.graph import Graph, GraphOptions
     from tactile_bringup.launching.launcher import Manner, Outcome
 
@@ -25,29 +27,23 @@ recording may be lost); 129 the terminal was closed; 130 Ctrl-C; 143 SIGTERM"""
 
 
 def register(subparsers: Any) -> None:
-    """Add `launch`."""
-    parser = subparsers.add_parser(
-        "launch", help="start a task's nodes and run it", description=__doc__, epilog=EXIT_CODES
-    )
+    parser = add_command(subparsers, "launch", run, __doc__, epilog=EXIT_CODES)
     add = parser.add_argument
     add("task", help=TASK_HELP)
     add_scene_options(parser)
-    add("--nodes-only", action="store_true",
-        help="run no goal: they come by `tactile goal` or `tactile run` from another terminal, until Ctrl-C",
-    )  # fmt: skip
+    text = "run no goal: they come by `tactile goal` or `tactile run` from another terminal, until Ctrl-C"
+    add("--nodes-only", action="store_true", help=text)
     add("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
     add("--record-images", action="store_true", help="with images, compressed without loss")
     add("--marker-view", action="store_true", help="publish a picture of the markers (tactile/marker_view)")
-    add("--object-belief", nargs="?", const=FOUND, metavar="NAME",
-        help="fuse the contacts of all arms into one belief over the object that they touch (object/belief); "
-        "NAME: one of config/objects, or a file, that says where they touch it (default: found by touch)",
-    )  # fmt: skip
+    text = "fuse the contacts of all arms into one belief over the object that they touch (object/belief); "
+    text += "NAME: one of config/objects, or a file, that says where they touch it (default: found by touch)"
+    add("--object-belief", nargs="?", const=FOUND, metavar="NAME", help=text)
     add_time_options(parser)
     add_rehearse_option(parser)
     add("--headless", action="store_true", help="plain lines in place of the live display")
     add_view_option(parser)
     add("--out", type=Path, default=Path("out/runs"), metavar="FOLDER", help="where the run's folder goes")
-    parser.set_defaults(run=run)
 
 
 def add_view_option(parser: argparse.ArgumentParser) -> None:
@@ -58,12 +54,10 @@ def add_view_option(parser: argparse.ArgumentParser) -> None:
 def add_time_options(parser: argparse.ArgumentParser) -> None:
     """Options of commands that start nodes which have to be in time."""
     add = parser.add_argument
-    add("--priority", type=int, default=0, metavar="N",
-        help="SCHED_FIFO priority 1..99 of the nodes from exposure to motion (default: 0, as any process)",
-    )  # fmt: skip
-    add("--cores", nargs="+", type=int, default=(), metavar="N",
-        help="of this machine, on which alone these nodes run; isolated ones, say (default: any)",
-    )  # fmt: skip
+    text = "SCHED_FIFO priority 1..99 of the nodes from exposure to motion (default: 0, as any process)"
+    add("--priority", type=int, default=0, metavar="N", help=text)
+    text = "of this machine, on which alone these nodes run; isolated ones, say (default: any)"
+    add("--cores", nargs="+", type=int, default=(), metavar="N", help=text)
 
 
 def time_options(arguments: argparse.Namespace) -> list[str]:
@@ -74,11 +68,8 @@ def time_options(arguments: argparse.Namespace) -> list[str]:
 
 def add_rehearse_option(parser: argparse.ArgumentParser) -> None:
     """Option of every command that drives real arms."""
-    parser.add_argument(
-        "--rehearse",
-        action="store_true",
-        help="with doubles of the arms, which speak their protocols, and simulated cameras",
-    )
+    text = "with doubles of the arms, which speak their protocols, and simulated cameras"
+    parser.add_argument("--rehearse", action="store_true", help=text)
 
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
@@ -94,16 +85,14 @@ def add_task_options(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=int, default=0, help="seed of the simulated cell (default: 0)")
     add("--model", type=Path, metavar="FILE", help="of all estimators (default: each sensor's in the scene)")
     add("--filter", default="", metavar="NAME", help="one of config/filters, or a file")
-    add("--controller", metavar="NAME",
-        help="one of config/controllers, or a file, for the task's; ROLE=NAME: for one role")  # fmt: skip
+    text = "one of config/controllers, or a file, for the task's; ROLE=NAME: for one role"
+    add("--controller", metavar="NAME", help=text)
     add_set_option(parser, "a setting on top of the files, again and again", "ROLE.GROUP.NAME=VALUE")
     add("--goals", nargs="+", default=(), help="names of the goals to run (default: all)")
 
 
 def graph_options(arguments: argparse.Namespace, **more: Any) -> GraphOptions:
     """What a user has chosen by options that are called like the graph's."""
-    from dataclasses import fields
-
     from tactile_bringup.graph import GraphOptions
 
     names = {item.name for item in fields(GraphOptions)}
@@ -114,20 +103,16 @@ def graph_options(arguments: argparse.Namespace, **more: Any) -> GraphOptions:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit code."""
-    from tactile_base.console import lasting_console
     from tactile_bringup.launching.launcher import Manner
 
     if arguments.record_images and arguments.record is None:
-        return _refuse("--record-images needs --record BAG")
+        raise ValueError("--record-images needs --record BAG")
     place = arguments.object_belief
     options = graph_options(arguments, object_belief=place is not None, object_file=place or FOUND)
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(arguments.task).stem}"
     console = lasting_console()
     manner = Manner(headless=arguments.headless, waits=arguments.nodes_only, view=arguments.view)
     outcome = launch(arguments.task, arguments.scene, options, folder, console, manner)
-    if outcome is None:
-        return 2
     if options.record is not None and options.record.exists():
         console.print(f"bag: {options.record.absolute()}", highlight=False, soft_wrap=True)
     return outcome.exit_code
@@ -135,19 +120,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 def launch(
     task: str, scene: str | None, options: GraphOptions, folder: Path, console: Console, manner: Manner
-) -> Outcome | None:
-    """Load, launch, and say how it ended; None, with the reason printed, where the input is wrong."""
-    from tactile_base.settings import SettingError
-    from tactile_base.whole_file import check_folder
+) -> Outcome:
+    """Load, launch, and say how it ended; raises as `load_graph`, `check_options` and `check_folder`."""
     from tactile_bringup.graph import check_options, load_graph
 
-    try:
-        graph = load_graph(task, scene, options)
-        check_options(options, "--{} {}")
-        check_folder(folder)
-    except (SettingError, ValueError, OSError) as error:
-        _refuse(str(error))
-        return None
+    graph = load_graph(task, scene, options)
+    check_options(options, "--{} {}")
+    check_folder(folder)
     return launch_graph(graph, folder, console, manner)
 
 
@@ -163,8 +142,3 @@ def launch_graph(graph: Graph, folder: Path, console: Console, manner: Manner) -
     live = console.is_terminal and not manner.headless
     with Display(console, live) as display:
         return Launcher(graph, folder.absolute(), display, manner).run()
-
-
-def _refuse(message: str) -> int:
-    print(f"tactile launch: {message}", file=sys.stderr)
-    return 2

@@ -1,4 +1,7 @@
-"""The command `tactile markers`: markers of an image, and their density against the state without contact."""
+"""Find the markers of a camera image or of a pre-processed one.
+
+Against a reference image without contact, show where they have parted (blue) and where they are closer (red).
+"""
 
 from __future__ import annotations
 
@@ -6,34 +9,24 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+import cv2
+
 from tactile_base.whole_file import check_file, room_for_files, whole_file
-from tactile_bringup.commands.changes import refusing
+from tactile_bringup.commands.changes import add_command
+from tactile_perception.estimating.image import read_image
+from tactile_perception.markers.detection import density_change, detect
+from tactile_perception.markers.view import draw_markers, side_by_side
 
 
 def register(subparsers: Any) -> None:
-    """Add `markers` to argparse subparsers."""
-    parser = subparsers.add_parser(
-        "markers",
-        help="markers of an image, and how their density differs from the state without contact",
-        description="Find the markers of a camera image or of a pre-processed one. Against a reference image "
-        "without contact, show where they have parted (blue) and where they are closer (red).",
-    )
-    add = parser.add_argument
+    add = add_command(subparsers, "markers", run_markers, __doc__, status=1).add_argument
     add("image", type=Path, help="image file")
     add("--reference", type=Path, help="image without contact, of the same crop")
     add("--out", type=Path, help="picture to write (default: out/IMAGE.markers.png)")
     add("--csv", type=Path, help="table of the centers to write")
-    parser.set_defaults(run=run_markers)
 
 
-@refusing("markers")
 def run_markers(arguments: argparse.Namespace) -> int:
-    """`tactile markers`: returns the exit status."""
-    import cv2
-
-    from tactile_perception.markers.detection import density_change, detect
-    from tactile_perception.markers.view import draw_markers, side_by_side
-
     out = arguments.out or Path("out") / f"{arguments.image.stem}.markers.png"
     for path in (out, *filter(None, [arguments.csv])):
         check_file(path)
@@ -74,7 +67,6 @@ def run_markers(arguments: argparse.Namespace) -> int:
 
 
 def _read(path: Path) -> Any:
-    from tactile_perception.estimating.image import read_image
 
     if not path.is_file():
         raise OSError(f"{path}: there is no such file")

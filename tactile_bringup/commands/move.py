@@ -5,17 +5,23 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from tactile_bringup.commands.changes import refusing
-from tactile_bringup.commands.launch import EXIT_CODES, add_rehearse_option
-
-if TYPE_CHECKING:
-    from tactile_bringup.graph import Graph
-    from tactile_control.tasks.move import MoveGoal
-    from tactile_scene.scene import ArmScene
+from tactile_base.console import lasting_console
+from tactile_base.whole_file import check_folder
+from tactile_bringup.commands.changes import add_command
+from tactile_bringup.commands.launch import EXIT_CODES, add_rehearse_option, graph_options, launch_graph
+from tactile_bringup.graph import Graph, build_graph
+from tactile_bringup.run_sequence import ArmPlan, check_places
+from tactile_bringup.staged_arm import arm_of
+from tactile_control.task_file import NamedGoal, Role
+from tactile_control.tasks.move import MoveGoal, MoveTaskSettings
+from tactile_doubles.rehearsal import rehearsed
+from tactile_geometry import se3
+from tactile_scene.scene import ArmScene
+from tactile_scene.scene_file import load_scene
 
 TASK = "move"
 SPEED = 0.02  # m/s
@@ -23,32 +29,21 @@ LONGEST = 600.0  # s; a move that gets nowhere ends long before
 
 
 def register(subparsers: Any) -> None:
-    """Add `move`."""
-    parser = subparsers.add_parser(
-        TASK, help="take an arm to a pose through the air", description=__doc__, epilog=EXIT_CODES
-    )
+    parser = add_command(subparsers, TASK, run, __doc__, epilog=EXIT_CODES)
     add = parser.add_argument
     add("--scene", required=True, metavar="NAME", help="scene, or a scene file")
     add("--arm", metavar="NAME", help="which of its arms (default: the only one)")
     where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("--to", nargs="+", type=float, metavar="N",
-        help="x y z (m) of its controlled frame in its base, and its rotation about fixed x y z (deg) "
-        "(default: as it is)",
-    )  # fmt: skip
+    text = "x y z (m) of its controlled frame in its base, and its rotation about fixed x y z (deg; as it is)"
+    where.add_argument("--to", nargs="+", type=float, metavar="N", help=text)
     where.add_argument("--start", action="store_true", help="to where it starts in the scene")
     add("--speed", type=float, default=SPEED, metavar="M/S", help=f"at most (default: {SPEED:g})")
     add_rehearse_option(parser)
     add("--headless", action="store_true", help="plain lines in place of the live display")
     add("--out", type=Path, default=Path("out/runs"), metavar="FOLDER", help="where the run's folder goes")
-    parser.set_defaults(run=run)
 
 
-@refusing(TASK, status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit code."""
-    from tactile_base.console import lasting_console
-    from tactile_base.whole_file import check_folder
-    from tactile_bringup.commands.launch import launch_graph
     from tactile_bringup.launching.launcher import Manner
 
     graph = make_graph(arguments)
@@ -62,35 +57,20 @@ def make_graph(arguments: argparse.Namespace) -> Graph:
 
     Raises `SettingError`, `ValueError` or `OSError` with what is wrong and what would be right.
     """
-    from tactile_base.settings import unknown_name
-    from tactile_bringup.commands.launch import graph_options
-    from tactile_bringup.graph import build_graph
-    from tactile_bringup.run_sequence import ArmPlan, check_places
-    from tactile_control.task_file import NamedGoal, Role
-    from tactile_control.tasks.move import MoveTaskSettings
-    from tactile_doubles.rehearsal import rehearsed
-    from tactile_scene.scene_file import load_scene
-
     scene = load_scene(arguments.scene)
     scene = rehearsed(scene) if arguments.rehearse else scene
-    name = arguments.arm or next(iter(scene.arms))
-    if name not in scene.arms or (not arguments.arm and len(scene.arms) > 1):
-        raise ValueError(f"--arm: {unknown_name(arguments.arm or '', list(scene.arms))}")
-    arm = scene.arms[name]
+    arm = arm_of(scene, arguments.arm)
     if not 0.0 < arguments.speed <= arm.limits.linear_velocity:
         raise ValueError(f"--speed {arguments.speed:g}: must lie in (0, {arm.limits.linear_velocity:g}] m/s")
     goal = NamedGoal("pose", chosen_goal(arguments, arm))
     check_places(goal, arm)
     settings = MoveTaskSettings().replaced(travel__speed=arguments.speed, travel__timeout=LONGEST)
-    plan = ArmPlan(name, Role("mover", TASK, settings, (goal,)), (goal,))
+    plan = ArmPlan(arm.name, Role("mover", TASK, settings, (goal,)), (goal,))
     return build_graph(TASK, scene, [plan], graph_options(arguments))
 
 
 def chosen_goal(arguments: argparse.Namespace, arm: ArmScene) -> MoveGoal:
     """Where to; `ValueError` for what is no pose, or one that known joints do not reach."""
-    from tactile_control.tasks.move import MoveGoal
-    from tactile_geometry import se3
-
     if arguments.start:
         numbers = se3.euler_from_pose(arm.T_base_start)
         numbers[3:] = np.degrees(numbers[3:])

@@ -6,25 +6,18 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from tactile_bringup.commands.changes import refusing
-from tactile_bringup.new_package import ENTRY_POINTS
+from tactile_bringup.commands.changes import add_command
+from tactile_bringup.new_package import ENTRY_POINTS, write_package
 
 
 def register(subparsers: Any) -> None:
-    """Add `new`."""
-    doc = "write a package with a plug-in of your own"
-    parser = subparsers.add_parser("new", help=doc, description=__doc__)
-    parser.add_argument("kind", choices=list(ENTRY_POINTS), metavar="KIND", help=", ".join(ENTRY_POINTS))
-    parser.add_argument("name", metavar="NAME", help="of the plug-in and its package, as my_arm")
-    parser.add_argument("--folder", type=Path, default=Path(), help="where (default: here)")
-    parser.set_defaults(run=run)
+    add = add_command(subparsers, "new", run, __doc__).add_argument
+    add("kind", choices=list(ENTRY_POINTS), metavar="KIND", help=", ".join(ENTRY_POINTS))
+    add("name", metavar="NAME", help="of the plug-in and its package, as my_arm")
+    add("--folder", type=Path, default=Path(), help="where (default: here)")
 
 
-@refusing("new", status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command."""
-    from tactile_bringup.new_package import write_package
-
     written = write_package(arguments.kind, arguments.name, arguments.folder)
     print(*written, sep="\n")
     print(f"Install it by `pip install -e {written[0].parent}`, try it by `pytest {written[0].parent}`.")

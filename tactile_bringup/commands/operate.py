@@ -9,15 +9,20 @@ from __future__ import annotations
 import argparse
 import math
 import os
-import sys
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from rich.console import Console
+
+from tactile_base.console import lasting_console, say
+from tactile_base.settings import unknown_name
 from tactile_base.stop_line import arms_here
+from tactile_base.yaml_file import name_and_value, value_text
+from tactile_bringup.commands import COMMANDS
+from tactile_bringup.commands.changes import add_command
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from tactile_bringup.launching.operator import ArmView, Operator
 
 FIND = 5.0  # s, at most, to find what is there; less where all that was found has spoken
@@ -25,50 +30,34 @@ EXAMPLE = "pid.kp='[0, 0, 3, 2, 2, 0]'"
 
 
 def register(subparsers: Any) -> None:
-    """Add all of them."""
-    reset = _add(subparsers, "reset", _reset, "let arms move again after a stop, an alarm or a fault")
-    reset.add_argument("arms", nargs="*", metavar="ARM", help="(default: all)")
-    status = _add(subparsers, "status", _status, "what each arm does, who commands it, and what is wrong")
-    status.add_argument("arms", nargs="*", metavar="ARM", help="(default: all)")
-    status.add_argument("--watch", action="store_true", help="again every second, until Ctrl-C")
-    reference = _add(subparsers, "reference", _reference, "take new images without contact: lift sensors off")
-    reference.add_argument("arms", nargs="*", metavar="ARM", help="(default: all that have an estimator)")
-    get = _add(subparsers, "get", _get, "parameters of a node, with range and meaning")
-    get.add_argument("node", nargs="?", metavar="NODE", help="as /arm/controller (default: list the nodes)")
-    get.add_argument("name", nargs="?", metavar="NAME", default="", help="one, or all that begin so")
-    change = _add(subparsers, "set", _set, "set parameters of a node while it runs")
-    change.add_argument("node", metavar="NODE", help="as /arm/controller")
-    change.add_argument("changes", nargs="+", metavar="NAME=VALUE", help=f"as {EXAMPLE}")
-    goal = _add(subparsers, "goal", _goal, "send one goal to an arm's controller, and wait for its end")
-    goal.add_argument("goal", nargs="?", default="{}", metavar="YAML",
-        help="its values, as '{direction_deg: 90, length: 0.05}' (default: those of the task)")  # fmt: skip
-    goal.add_argument("--arm", default="", metavar="ARM", help="(default: the only one)")
-    goal.add_argument("--name", default="by hand", help="how it is called in status and reports")
-    goal.add_argument(
-        "--settings", default="", metavar="YAML", help="settings of the task for this goal alone"
-    )
-    cancel = _add(subparsers, "cancel", _cancel, "end the goals that run: arms stop and leave the surface")
-    cancel.add_argument("arms", nargs="*", metavar="ARM", help="(default: all)")
+    acts = {"reset": _reset, "reference": _reference, "cancel": _cancel, "status": _status}
+    for name, act in acts.items():
+        add = _add(subparsers, name, act)
+        add("arms", nargs="*", metavar="ARM", help="(default: all that can)")
+    add("--watch", action="store_true", help="again every second, until Ctrl-C")
+    add = _add(subparsers, "get", _get)
+    add("node", nargs="?", metavar="NODE", help="as /arm/controller (default: list the nodes)")
+    add("name", nargs="?", metavar="NAME", default="", help="one, or all that begin so")
+    add = _add(subparsers, "set", _set)
+    add("node", metavar="NODE", help="as /arm/controller")
+    add("changes", nargs="+", metavar="NAME=VALUE", help=f"as {EXAMPLE}")
+    add = _add(subparsers, "goal", _goal)
+    text = "its values, as '{direction_deg: 90, length: 0.05}' (default: those of the task)"
+    add("goal", nargs="?", default="{}", metavar="YAML", help=text)
+    add("--arm", default="", metavar="ARM", help="(default: the only one)")
+    add("--name", default="by hand", help="how it is called in status and reports")
+    add("--settings", default="", metavar="YAML", help="settings of the task for this goal alone")
 
 
-def _add(subparsers: Any, name: str, act: Any, doc: str) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = subparsers.add_parser(name, help=doc, description=f"{doc}.")
-    parser.set_defaults(run=run, act=act)
-    return parser
+def _add(subparsers: Any, name: str, act: Callable[[argparse.Namespace, Operator, Console], int]) -> Any:
+    def run(arguments: argparse.Namespace) -> int:
+        from tactile_bringup.launching.operator import Operator
 
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run one of them; 0: it was done."""
-    from tactile_base.console import lasting_console
-    from tactile_base.settings import SettingError
-    from tactile_bringup.launching.operator import Operator, OperatorError
-
-    try:
         with Operator(chosen_domain()) as operator:
-            return int(arguments.act(arguments, operator, lasting_console()))
-    except (OperatorError, SettingError, ValueError) as error:
-        print(f"tactile {arguments.command}: {error}", file=sys.stderr)
-        return 1
+            return act(arguments, operator, lasting_console())
+
+    about = f"{COMMANDS[name][1]}."
+    return add_command(subparsers, name, run, about, status=1, wrong=(RuntimeError,)).add_argument
 
 
 def chosen_domain() -> int:
@@ -94,10 +83,10 @@ def _reset(arguments: argparse.Namespace, operator: Operator, console: Console) 
     failed = 0
     for view in _arms(arguments.arms, operator):
         try:
-            _say(console, f"/{view.name}: {operator.reset(view.name)}")
+            say(console, f"/{view.name}: {operator.reset(view.name)}")
         except OperatorError as error:
             failed = 1
-            _say(console, f"/{view.name} was not reset: {error}", "red")
+            say(console, f"/{view.name} was not reset: {error}", "red")
     return failed
 
 
@@ -106,9 +95,9 @@ def _reference(arguments: argparse.Namespace, operator: Operator, console: Conso
     if not arguments.arms:
         views = [view for view in views if f"/{view.name}/estimator" in operator.node_names()]
     for view in views:
-        _say(console, f"/{view.name}: {operator.capture_reference(view.name)}")
+        say(console, f"/{view.name}: {operator.capture_reference(view.name)}")
     if not views:
-        _say(console, "no arm has an estimator")
+        say(console, "no arm has an estimator")
     return int(not views)
 
 
@@ -116,7 +105,7 @@ def _cancel(arguments: argparse.Namespace, operator: Operator, console: Console)
     _find_controllers(operator)
     for view in operator.chosen(arguments.arms):
         count = operator.cancel(view.name) if view.controller is not None else 0
-        _say(console, f"/{view.name}: {'its goal ends: it stops and retreats' if count else 'no goal runs'}")
+        say(console, f"/{view.name}: {'its goal ends: it stops and retreats' if count else 'no goal runs'}")
     return 0
 
 
@@ -126,7 +115,6 @@ def _find_controllers(operator: Operator) -> None:
 
 
 def _arms(names: list[str], operator: Operator) -> list[ArmView]:
-    """The arms of these names, or all, once they have spoken."""
     operator.find(FIND)
     return operator.chosen(names)
 
@@ -136,13 +124,13 @@ def _status(arguments: argparse.Namespace, operator: Operator, console: Console)
     while True:
         bad = [_show(view, operator, console) for view in views]
         for trouble in operator.troubles():
-            _say(console, trouble, "yellow")
+            say(console, trouble, "yellow")
         if not arguments.watch:
             return int(any(bad))
         end = time.monotonic() + 1.0
         while time.monotonic() < end:
             operator.look()
-        _say(console, "")
+        say(console, "")
 
 
 def _show(view: ArmView, operator: Operator, console: Console) -> bool:
@@ -150,10 +138,10 @@ def _show(view: ArmView, operator: Operator, console: Console) -> bool:
     status, task, contact = view.status, view.controller, view.contact
     if status is None or view.age > 1.0:
         since = "has said nothing" if math.isinf(view.age) else f"has said nothing for {view.age:.1f} s"
-        _say(console, f"/{view.name}: {since}", "red")
+        say(console, f"/{view.name}: {since}", "red")
         return True
     wrong = status.mode in (status.FAULT, status.ESTOP)
-    _say(console, f"/{view.name}: {_mode(status)}", "red" if wrong else "green")
+    say(console, f"/{view.name}: {_mode(status)}", "red" if wrong else "green")
     linear, angular = (math.hypot(*status.twist[k : k + 3]) for k in (0, 3))
     lines = {
         "why": status.reason,
@@ -168,7 +156,7 @@ def _show(view: ArmView, operator: Operator, console: Console) -> bool:
     }
     for name, text in lines.items():
         if text:
-            _say(console, f"  {name + ':':14}{text}")
+            say(console, f"  {name + ':':14}{text}")
     return wrong
 
 
@@ -206,29 +194,23 @@ def _get(arguments: argparse.Namespace, operator: Operator, console: Console) ->
     if arguments.node is None:
         operator.find(FIND)
         for name in sorted(operator.nodes):
-            _say(console, name)
+            say(console, name)
         return 0 if operator.nodes else 1
-    from tactile_base.yaml_file import value_text
-
     known = operator.parameters(arguments.node)
     chosen = {name: found for name, found in known.items() if name.startswith(arguments.name)}
     if not chosen:
-        from tactile_base.settings import unknown_name
-
         raise ValueError(f"{arguments.node}: {unknown_name(arguments.name, list(known))}")
     for name, (value, descriptor) in chosen.items():
-        _say(console, f"{name}: {value_text(value)}")
+        say(console, f"{name}: {value_text(value)}")
         if about := "; ".join(filter(None, [descriptor.description, "fixed" * descriptor.read_only])):
-            _say(console, f"    {about}", "bright_black")
+            say(console, f"    {about}", "bright_black")
     return 0
 
 
 def _set(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
-    from tactile_base.yaml_file import name_and_value, value_text
-
     for name, value in [name_and_value(change, EXAMPLE) for change in arguments.changes]:
         before, after = operator.set_parameter(arguments.node, name, value)
-        _say(console, f"{arguments.node} {name}: {value_text(before)} -> {value_text(after)}")
+        say(console, f"{arguments.node} {name}: {value_text(before)} -> {value_text(after)}")
     return 0
 
 
@@ -256,15 +238,9 @@ def _goal(arguments: argparse.Namespace, operator: Operator, console: Console) -
         if text not in said[-1:]:
             said.append(text)
             done = _done(feedback.progress)
-            _say(console, f"{text} ({done})" if done else text)
+            say(console, f"{text} ({done})" if done else text)
 
     result = operator.run_goal(view.name, words, hear, lambda: bool(signals))
     ended = "done" if result.success else f"failed: {result.reason}"
-    _say(console, f"{ended} ({1e3 * result.path_length:.0f} mm)", "green" if result.success else "red")
+    say(console, f"{ended} ({1e3 * result.path_length:.0f} mm)", "green" if result.success else "red")
     return 0 if result.success else 128 + signals[0] if signals else 1
-
-
-def _say(console: Console, text: str, style: str | None = None) -> None:
-    from tactile_base.console import say
-
-    say(console, text, style)

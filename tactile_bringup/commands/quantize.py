@@ -1,4 +1,7 @@
-"""The command `tactile quantize`: a trained network in 8-bit integers, and what that costs and brings."""
+"""Write a trained network in 8-bit integers, which takes less than half the time.
+
+Both are compared on the validation data. It needs onnx, of the extra 'train'.
+"""
 
 from __future__ import annotations
 
@@ -12,35 +15,29 @@ from rich.console import Console
 
 from tactile_base.console import number_table
 from tactile_base.whole_file import check_file, copy_whole, room_for_files
-from tactile_bringup.commands.changes import add_set_option, changed_settings, refusing
+from tactile_bringup.commands.changes import add_command, add_set_option, changed_settings
+from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.datasets.layout import parts_of
 from tactile_perception.estimating.model_metadata import QUANTIZED_NAME, trained_model
+from tactile_perception.evaluation.evaluate import evaluate, load_data
+from tactile_perception.evaluation.models import open_models
 
 _TIMED_RUNS = 200
 
 
 def register(subparsers: Any) -> None:
-    """Add `quantize` to argparse subparsers; sets `run`, a callable of the arguments."""
-    parser = subparsers.add_parser(
-        "quantize",
-        help="write a trained network in 8-bit integers",
-        description="Write a trained network in 8-bit integers, which takes less than half the time, and "
-        "compare both on the validation data (needs onnx, of the extra 'train').",
-    )
+    parser = add_command(subparsers, "quantize", run_quantize, __doc__, status=1)
     add = parser.add_argument
     add("model", type=Path, help="run folder of `tactile train`, or an ONNX file")
-    add("--data", type=Path, required=True,
-        help="training data, which give the ranges of the activations: a folder, or one with train/ in it",
-    )  # fmt: skip
+    text = "training data, which give the ranges of the activations: a folder, or one with train/ in it"
+    add("--data", type=Path, required=True, help=text)
     add("--val", type=Path, help="data to compare both networks on (default: DATA/val)")
     add("--out", type=Path, metavar="FILE", help=f"default: {QUANTIZED_NAME} beside the model")
     add("--install", type=Path, metavar="FILE", help="copy the quantized model to FILE")
     add_set_option(parser, "change one setting")
-    parser.set_defaults(run=run_quantize)
 
 
-@refusing("quantize")
 def run_quantize(arguments: argparse.Namespace) -> int:
-    """`tactile quantize`: returns the exit status."""
     from tactile_perception.training.quantization import QuantizationSettings, quantize, training_images
 
     settings = QuantizationSettings().replaced(**changed_settings(arguments.changes, "images=300"))
@@ -72,9 +69,6 @@ def quantize_run(run: Path, data: Path, validation: Path | None = None) -> Path:
 
 def _validation(data: Path, given: Path | None) -> Path | None:
     """The folder to compare on, if there is one; `DatasetError` if it is none."""
-    from tactile_perception.datasets.dataset import open_folder
-    from tactile_perception.datasets.layout import parts_of
-
     folder = given or parts_of(data).get("val")
     if folder is not None:
         open_folder(folder)
@@ -90,8 +84,6 @@ def _paths(model: Path, out: Path | None) -> tuple[Path, Path]:
 
 
 def _compare(paths: Sequence[Path], validation: Path | None) -> None:
-    from tactile_perception.evaluation.evaluate import evaluate, load_data
-    from tactile_perception.evaluation.models import open_models
 
     models = open_models(paths, threads=1)
     names = ["size", "network, p50 / p99"]

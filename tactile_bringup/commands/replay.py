@@ -1,4 +1,7 @@
-"""`tactile replay`: a recording through the filter again, with other settings, as fast as it goes."""
+"""Run the estimates and transforms of a bag (MCAP or sqlite3, ours or of `ros2 bag`) through the filter.
+
+Writes a bag, a table and a picture that compares the runs.
+"""
 
 from __future__ import annotations
 
@@ -7,47 +10,43 @@ import os
 import shutil
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich import box
 from rich.console import Console
 
 from tactile_base.config_paths import named_file
-from tactile_base.console import number_table, say
+from tactile_base.console import number_table, say, wide_console
 from tactile_base.progress import Progress
 from tactile_base.version import version
 from tactile_base.whole_file import room_for_results
-from tactile_bringup.commands.changes import add_job_options, add_set_option, refusing, workers_of
-
-if TYPE_CHECKING:
-    from tactile_records.replay.inputs import Inputs
-    from tactile_records.replay.kept import Plan
-    from tactile_records.replay.report import RunResult
+from tactile_bringup.commands.changes import add_command, add_job_options, add_set_option, workers_of
+from tactile_records.bags.contents import BagError
+from tactile_records.bags.reader import Bag, read_bag
+from tactile_records.replay.figures import compare
+from tactile_records.replay.images import estimated, wanted_with_images
+from tactile_records.replay.inputs import Inputs, inputs_of, read_inputs
+from tactile_records.replay.kept import KeptRuns, Plan
+from tactile_records.replay.report import TABLE, RunResult, numbers, table_row, write_report
+from tactile_records.replay.sweep import Options, base_settings, make_plans, run_plans, same_settings
+from tactile_records.replay.topics import ReplayError
 
 EXIT_OK, EXIT_DIFFERS, EXIT_USAGE = 0, 1, 2
 REPORT = "report.json"
 NEW_FROM_IMAGES = ("/contact/estimate", "/contact/presence")
-WIDTH = 140  # columns of the table where there is no terminal
 
 
 def register(subparsers: Any) -> None:
-    """Add `replay`."""
-    parser = subparsers.add_parser(
-        "replay",
-        help="run a recorded bag through the filter again, with other settings",
-        description="Runs the estimates and transforms of a bag (MCAP or sqlite3, ours or of `ros2 bag`) "
-        "through the filter and writes a bag, a table and a picture that compares the runs.",
-        epilog="Exit codes: 0 done, 1 with --check where beliefs are not the recorded ones, 2 nothing done.",
-    )
+    epilog = "exit codes: 0 done, 1 with --check where beliefs are not the recorded ones, 2 nothing done"
+    parser = add_command(subparsers, "replay", run, __doc__, epilog=epilog)
     add = parser.add_argument
     add("bag", type=Path, metavar="BAG", help="folder of a bag, or one of its files")
     add_set_option(parser, "change a setting of the filter")
-    add("--sweep", action="append", default=[], metavar="NAME=A,B,C",
-        help="one run for each value; given again: for each combination")  # fmt: skip
+    text = "one run for each value; given again: for each combination"
+    add("--sweep", action="append", default=[], metavar="NAME=A,B,C", help=text)
     add("--filter", metavar="NAME|FILE", help="filter settings from a file, in place of the recorded ones")
-    add("--from", dest="source", choices=("estimates", "images"), default="estimates",
-        help="what the filter takes: the recorded estimates, or new ones from the recorded images",
-    )  # fmt: skip
+    text = "what the filter takes: the recorded estimates, or new ones from the recorded images"
+    add("--from", dest="source", choices=("estimates", "images"), default="estimates", help=text)
     add("--model", type=Path, help="with --from images: model (default: the recorded one, else the shipped)")
     add("--base", default="", metavar="FRAME", help="frame in which the surface rests (default: ARM/base)")
     add("--out", type=Path, help="folder for the results (default: out/replay/BAG)")
@@ -57,15 +56,9 @@ def register(subparsers: Any) -> None:
     add("--check", action="store_true", help="fail unless the beliefs are the recorded ones")
     add_job_options(parser, those="with --sweep: ")
     add("--no-plot", action="store_true", help="draw no pictures")
-    parser.set_defaults(run=run)
 
 
-@refusing("replay", status=EXIT_USAGE)
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit code."""
-    from tactile_records.replay.kept import KeptRuns
-    from tactile_records.replay.sweep import base_settings, make_plans, run_plans
-
     folder = arguments.out or Path("out") / "replay" / arguments.bag.resolve().stem
     started, busy = time.perf_counter(), _processor_time()
     inputs = _inputs(arguments)
@@ -79,9 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
         options, workers = _options(arguments, inputs), workers_of(arguments)
         results = run_plans(plans, inputs, options, workers, progress, kept)
     seconds, busy = time.perf_counter() - started, _processor_time() - busy
-    console = Console()
-    if not console.is_terminal:
-        console.width = WIDTH
+    console = wide_console()
     agree = _deliver(arguments, folder, inputs, plans, results, console)
     kept.remove()
     speed = inputs.span_s * len(plans) / seconds if seconds else 0.0
@@ -110,15 +101,11 @@ def _processor_time() -> float:
 
 
 def _inputs(arguments: argparse.Namespace) -> Inputs:
-    from tactile_records.bags.reader import read_bag
-    from tactile_records.replay.inputs import inputs_of, read_inputs
-    from tactile_records.replay.topics import ReplayError
 
     if arguments.source == "estimates":
         if arguments.model is not None:
             raise ReplayError("--model needs --from images: recorded estimates are taken as they are")
         return read_inputs(arguments.bag, arguments.base)
-    from tactile_records.replay.images import estimated, wanted_with_images
 
     bag, remarks = estimated(read_bag(arguments.bag, wanted_with_images), arguments.model)
     inputs = inputs_of(bag, arguments.base)
@@ -127,8 +114,6 @@ def _inputs(arguments: argparse.Namespace) -> Inputs:
 
 
 def _options(arguments: argparse.Namespace, inputs: Inputs) -> Any:
-    from tactile_records.bags.reader import read_bag
-    from tactile_records.replay.sweep import Options
 
     used = inputs.bag.messages
     if arguments.copy == "all":
@@ -141,9 +126,6 @@ def _options(arguments: argparse.Namespace, inputs: Inputs) -> Any:
 
 def _make_room(folder: Path, plans: list[Plan]) -> None:
     """Remove bags of former replays that are in the way, and only those."""
-    from tactile_records.bags.contents import BagError
-    from tactile_records.bags.reader import Bag, read_bag
-
     for plan in plans:
         if not plan.bag.exists():
             continue
@@ -165,8 +147,6 @@ def _deliver(
     console: Console,
 ) -> bool:
     """Tables, pictures and report; returns whether all beliefs are the recorded ones."""
-    from tactile_records.replay.report import numbers, write_report
-
     for remark in inputs.remarks:
         _note(console, remark)
     report: dict[str, Any] = {"bag": str(inputs.bag.folder), "remarks": inputs.remarks, "arms": {}}
@@ -185,8 +165,6 @@ def _deliver(
         _print_table(console, arm.name, mine, values)
         agree &= _tell_agreement(console, inputs, arm, plans, mine)
         if not arguments.no_plot:
-            from tactile_records.replay.figures import compare
-
             paths.append(folder / (f"{arm.name}.png" if len(inputs.arms) > 1 else "replay.png"))
             compare(arm, mine, f"{inputs.bag.folder.name}, {arm.name}", paths[-1])
     write_report(folder / REPORT, report)
@@ -200,7 +178,6 @@ def _note(console: Console, text: str) -> None:
 
 
 def _print_table(console: Console, arm: str, results: list[RunResult], values: dict[str, Any]) -> None:
-    from tactile_records.replay.report import TABLE, table_row
 
     title = f"{arm}: RMS errors against the truth (mm, deg), consistency, agreement with what was live"
     table = number_table(title, TABLE, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
@@ -215,8 +192,6 @@ def _tell_agreement(
     console: Console, inputs: Inputs, arm: Any, plans: list[Plan], results: list[RunResult]
 ) -> bool:
     """Say where a run with the recorded settings differs from what was live; whether none does."""
-    from tactile_records.replay.sweep import same_settings
-
     agree = arm.live is not None
     for plan in plans:
         result = next(r for r in results if r.name == plan.name)

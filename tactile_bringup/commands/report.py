@@ -4,38 +4,25 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 
 from tactile_base.console import number_table, say
 from tactile_base.whole_file import room_for_results
-from tactile_bringup.commands.changes import refusing
-
-if TYPE_CHECKING:
-    from tactile_records.runs.report import Run
+from tactile_bringup.commands.changes import add_command
+from tactile_records.runs.from_bag import read_runs
+from tactile_records.runs.page import NAME, write_report_page
+from tactile_records.runs.report import FILES, Run, places, summary, write_reports
 
 
 def register(subparsers: Any) -> None:
-    """Add `report`."""
-    parser = subparsers.add_parser(
-        "report", help="numbers, pictures and a page of a run", description=__doc__
-    )
-    parser.add_argument(
-        "run_of", type=Path, metavar="BAG|RUN", help="a recording, or the folder or run.npz of simulate"
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="FOLDER", help="for report.html, report.json, pictures (NAME-report)"
-    )
-    parser.set_defaults(run=run)
+    add = add_command(subparsers, "report", run, __doc__).add_argument
+    add("run_of", type=Path, metavar="BAG|RUN", help="a recording, or the folder or run.npz of simulate")
+    add("--out", type=Path, metavar="FOLDER", help="for report.html, report.json, pictures (NAME-report)")
 
 
-@refusing("report", status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit code: 0 where the task was done, 1 where not, 2 without a record."""
-    from tactile_records.runs.from_bag import read_runs
-    from tactile_records.runs.report import FILES
-
     source: Path = arguments.run_of
     name = source.stem if source.is_file() else source.name
     folder = arguments.out or source.with_name(f"{name}-report")
@@ -48,9 +35,6 @@ def deliver(records: Run, source: Path, folder: Path, console: Console) -> bool:
 
     Returns whether all arms have done what they were asked to, by the numbers of their reports.
     """
-    from tactile_records.runs.page import NAME, write_report_page
-    from tactile_records.runs.report import places, summary, write_reports
-
     values = write_reports(records, folder)
     write_report_page(records, values, folder)
     first = next(iter(records.values()))

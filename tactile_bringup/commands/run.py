@@ -4,64 +4,46 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from typing import TYPE_CHECKING, Any
 
+from tactile_base.console import lasting_console
+from tactile_base.end_signals import end_with_launcher
+from tactile_bringup.attached_arm import Place, load_servoing_graph
+from tactile_bringup.commands.changes import add_command
 from tactile_bringup.commands.launch import EXIT_CODES, TASK_HELP
+from tactile_bringup.graph import Graph, GraphOptions, load_graph
 
 if TYPE_CHECKING:
-    from tactile_bringup.graph import Graph, GraphOptions
     from tactile_bringup.launching.progress import Display
 
 
 def register(subparsers: Any) -> None:
-    """Add `run`."""
-    parser = subparsers.add_parser(
-        "run", help="run a task on nodes that are up already", description=__doc__, epilog=EXIT_CODES
-    )
-    add = parser.add_argument
+    add = add_command(subparsers, "run", run, __doc__, epilog=EXIT_CODES).add_argument
     add("task", help=TASK_HELP)
     add("--scene", metavar="NAME", help="(default: the first that the task names)")
     add("--goals", nargs="+", default=(), help="names of the goals to run (default: all)")
-    add("--namespace", default="", metavar="NAME",
-        help="of one arm's nodes, as servoing.launch.py has started them (default: the arm's name)",
-    )  # fmt: skip
+    text = "of one arm's nodes, as servoing.launch.py has started them (default: the arm's name)"
+    add("--namespace", default="", metavar="NAME", help=text)
     add("--arm", default="", metavar="NAME", help="that arm (default: the only one with a role)")
     add("--rehearse", action="store_true", help="the nodes were started for a rehearsal")
     add("--headless", action="store_true", help="plain lines in place of the live display")
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit code."""
-    from tactile_base.console import lasting_console
-    from tactile_base.end_signals import end_with_launcher
-    from tactile_base.settings import SettingError
-    from tactile_bringup.attached_arm import Place, load_servoing_graph
-    from tactile_bringup.graph import load_graph
     from tactile_bringup.launching.progress import Display
     from tactile_bringup.launching.start_check import check_process
 
     end_with_launcher()
-    task, scene, options = arguments.task, arguments.scene, _options(arguments)
-    try:
-        check_process()
-        if arguments.namespace or arguments.arm:
-            graph = load_servoing_graph(task, scene, arguments.arm, Place(arguments.namespace), options)
-        else:
-            graph = load_graph(task, scene, options)
-    except (SettingError, ValueError, OSError) as error:
-        print(f"tactile run: {error}", file=sys.stderr)
-        return 2
+    task, scene = arguments.task, arguments.scene
+    options = GraphOptions(goals=tuple(arguments.goals), rehearse=arguments.rehearse)
+    check_process()
+    if arguments.namespace or arguments.arm:
+        graph = load_servoing_graph(task, scene, arguments.arm, Place(arguments.namespace), options)
+    else:
+        graph = load_graph(task, scene, options)
     console = lasting_console()
     with Display(console, console.is_terminal and not arguments.headless) as display:
         return _run(graph, display)
-
-
-def _options(arguments: argparse.Namespace) -> GraphOptions:
-    from tactile_bringup.graph import GraphOptions
-
-    return GraphOptions(goals=tuple(arguments.goals), rehearse=arguments.rehearse)
 
 
 def _run(graph: Graph, display: Display) -> int:

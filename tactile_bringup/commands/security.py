@@ -8,39 +8,30 @@ from __future__ import annotations
 
 import argparse
 import os
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
-from tactile_bringup.commands.changes import refusing
+from tactile_base.whole_file import check_folder
+from tactile_bringup.commands.changes import add_command
 from tactile_bringup.commands.launch import TASK_HELP
+from tactile_bringup.graph import GraphOptions, load_graph
+from tactile_bringup.permissions import enclaves, write_permissions
+from tactile_scene.scene import EXTERNAL
+from tactile_scene.scene_file import load_scene
 
 YEARS = 10  # for which permissions are valid, as those of `ros2 security` are
 
 
 def register(subparsers: Any) -> None:
-    """Add `security`."""
-    parser = subparsers.add_parser(
-        "security", help="write who may say what, for DDS security", description=__doc__
-    )
-    add = parser.add_argument
+    add = add_command(subparsers, "security", run, __doc__).add_argument
     add("folder", type=Path, metavar="FOLDER", help="a new folder")
     add("task", help=TASK_HELP)
     add("--scene", metavar="NAME", help="scene, or a scene file (default: the first that the task names)")
     add("--domain", type=int, metavar="N", help="ROS domain (default: ROS_DOMAIN_ID, else 0)")
-    parser.set_defaults(run=run)
 
 
-@refusing("security", status=2)
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit code."""
-    from datetime import datetime, timedelta, timezone
-
-    from tactile_base.whole_file import check_folder
-    from tactile_bringup.graph import GraphOptions, load_graph
-    from tactile_bringup.permissions import enclaves, write_permissions
-    from tactile_scene.scene import EXTERNAL
-    from tactile_scene.scene_file import load_scene
-
     folder: Path = arguments.folder
     domain = _domain(arguments.domain)
     check_folder(folder)

@@ -1,4 +1,4 @@
-"""`tactile simulate`: a task on a simulated scene in one process, without ROS, with report and pictures."""
+"""Run a task in a simulated scene in one process, as fast as it goes; write report, pictures and record."""
 
 from __future__ import annotations
 
@@ -8,38 +8,36 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 
 from tactile_base.console import say
 from tactile_base.progress import Progress
 from tactile_base.whole_file import room_for_results
-from tactile_bringup.commands.changes import refusing
+from tactile_bringup.commands.changes import add_command
 from tactile_bringup.commands.launch import TASK_HELP, add_task_options, add_view_option
+from tactile_bringup.offline import Log, OfflineOptions, run_arms_offline
+from tactile_bringup.offline_bag import OfflineBag
+from tactile_bringup.run_sequence import ArmPlan, arm_plans
+from tactile_bringup.scene_check import check_bodies
+from tactile_control.phases import Command
+from tactile_control.task_file import Task, default_scene, load_task, task_path
+from tactile_doubles.rehearsal import simulated
+from tactile_filter.filter_settings import load_filter_settings
+from tactile_records.runs.log import RunLog
+from tactile_records.runs.page import write_report_page
+from tactile_records.runs.report import FILES, Run, places, summary, write_reports
+from tactile_scene.scene import Scene
+from tactile_scene.scene_file import load_scene
 from tactile_scene.simulation import FIDELITIES
-
-if TYPE_CHECKING:
-    from tactile_bringup.offline import Log, OfflineOptions
-    from tactile_bringup.offline_bag import OfflineBag
-    from tactile_bringup.run_sequence import ArmPlan
-    from tactile_control.phases import Command
-    from tactile_control.task_file import Task
-    from tactile_records.runs.report import Run
-    from tactile_scene.scene import Scene
-
 
 ERRORS = "errors.log"  # tracebacks, beside the results
 BAG = "bag"
 
 
 def register(subparsers: Any) -> None:
-    """Add `tactile simulate` to the command line."""
-    parser = subparsers.add_parser(
-        "simulate",
-        help="run a task on a simulated scene in one process, without ROS, as fast as it goes",
-        description="Runs a task in a simulated scene in one process; writes report, pictures and record.",
-    )
+    parser = add_command(subparsers, "simulate", _simulate, __doc__)
     add = parser.add_argument
     add("task", nargs="?", default="surface_following", help=TASK_HELP)
     add_task_options(parser)
@@ -48,15 +46,9 @@ def register(subparsers: Any) -> None:
     add("--latency", type=float, default=10.0, help="exposure to command in ms (default: 10)")
     add("--out", type=Path, help="folder for report, pictures and record (default: out/simulate)")
     add_view_option(parser)
-    parser.set_defaults(run=_simulate)
 
 
-@refusing("simulate", status=2)
 def _simulate(arguments: argparse.Namespace) -> int:
-    from tactile_bringup.run_sequence import arm_plans
-    from tactile_bringup.scene_check import check_bodies
-    from tactile_records.runs.log import RunLog
-    from tactile_records.runs.report import FILES
 
     folder = arguments.out or Path("out") / "simulate"
     room_for_results(folder, *FILES, f"{BAG}/*")
@@ -75,15 +67,12 @@ def _simulate(arguments: argparse.Namespace) -> int:
 
     if not arguments.view:
         return delivered(RunLog)
-    from tactile_bringup.offline_bag import OfflineBag
 
     return _viewed(OfflineBag(folder / BAG, scene, task.name, plans, options.seed), folder, delivered)
 
 
 def _run(scene: Scene, task: Task, options: OfflineOptions, plans: list[ArmPlan], log: Log) -> Run:
     """The run, with its progress on a terminal."""
-    from tactile_bringup.offline import run_arms_offline
-
     ends = {(plan.arm, goal.name): goal.goal.ends for plan in plans for goal in plan.goals}
     with Progress() as progress:
 
@@ -112,12 +101,6 @@ def _viewed(bag: OfflineBag, folder: Path, delivered: Callable[[Log], int]) -> i
 
 def prepared(arguments: argparse.Namespace) -> tuple[Scene, Task, OfflineOptions]:
     """What the options of a command that runs a task in one process say."""
-    from tactile_bringup.offline import OfflineOptions
-    from tactile_control.task_file import default_scene, load_task, task_path
-    from tactile_doubles.rehearsal import simulated
-    from tactile_filter.filter_settings import load_filter_settings
-    from tactile_scene.scene_file import load_scene
-
     path = task_path(arguments.task)
     scene = load_scene(arguments.scene or default_scene(path))
     chosen = {"controller": arguments.controller, "changes": arguments.changes}
@@ -134,9 +117,6 @@ def prepared(arguments: argparse.Namespace) -> tuple[Scene, Task, OfflineOptions
 
 def deliver(run: Run, folder: Path) -> int:
     """Write report, pictures and record of each arm, and say what a person wants to see first."""
-    from tactile_records.runs.page import write_report_page
-    from tactile_records.runs.report import places, summary, write_reports
-
     values = write_reports(run, folder)
     page = write_report_page(run, values, folder)
     for arm, place in places(run, folder).items():

@@ -33,12 +33,12 @@ AGAIN, PRESSED = 0.5, 0.01  # s, between two looks for arms, and for a key
 READY = "any key stops all arms; q or Ctrl-C ends this command"
 #: Of each arm, by ROS domain and name: why it is not known to rest; '' where it does.
 Arms = dict[tuple[int, str], str]
-_HELP = "bring all arms to rest at once"
 
 
 def register(subparsers: Any) -> None:
-    """Add `stop`."""
-    _add_options(subparsers.add_parser("stop", help=_HELP, description=__doc__))
+    from tactile_bringup.commands.changes import add_command
+
+    _add_options(add_command(subparsers, "stop", run, __doc__))
 
 
 def main(words: Sequence[str]) -> int:
@@ -56,7 +56,6 @@ def _add_options(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; 0: arms were found, every one that was named, and every one was seen at rest."""
     if arguments.ready and arguments.arms:
         print("tactile stop: --ready stops all arms: leave the names out", file=sys.stderr)
         return 2

@@ -15,77 +15,60 @@ from tactile_base.console import number_table, say
 from tactile_base.jobs import run_jobs
 from tactile_base.whole_file import check_file, copy_whole, write_csv
 from tactile_bringup.commands.changes import (
+    add_command,
     add_job_options,
     add_set_option,
     in_words,
     positive_int,
-    refusing,
     workers_of,
 )
 from tactile_bringup.commands.quantize import quantize_run
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS, errors_in_words
 from tactile_perception.estimating.model_metadata import MODEL_NAME, QUANTIZED_NAME
-from tactile_perception.training.config import profile
+from tactile_perception.training import jobs
+from tactile_perception.training.config import TrainConfig, profile
 
 
 def register(subparsers: Any) -> None:
-    """Add `train` and `ensemble` to argparse subparsers; each sets `run`, a callable of the arguments."""
-    parser = subparsers.add_parser(
-        "train",
-        help="train a pose network on a data folder",
-        description="Train a pose network (needs PyTorch, the extra 'train'). A run that was interrupted "
-        "goes on when the same command is given again.",
-    )
+    parser = add_command(subparsers, "train", run_train, status=1, wrong=(FloatingPointError,))
     add = parser.add_argument
     add("data", type=Path, help="data folder, or a folder with train/ and val/ in it")
     add("--val", type=Path, help="validation data folder (default: DATA/val)")
     add("--out", type=Path, required=True, help="new folder for the run")
     choice = parser.add_mutually_exclusive_group()
-    choice.add_argument(
-        "--config", type=Path, help="YAML file with the sections network, training and augmentation"
-    )
-    choice.add_argument(
-        "--profile", metavar="NAME",
-        help="a choice between speed and accuracy, of config/perception/profiles.yaml; a network of 8-bit "
-        f"integers is written beside the trained one, as {QUANTIZED_NAME}",
-    )  # fmt: skip
+    text = "YAML file with the sections network, training and augmentation"
+    choice.add_argument("--config", type=Path, help=text)
+    text = "a choice between speed and accuracy, of config/perception/profiles.yaml; a network of 8-bit "
+    text += f"integers is written beside the trained one, as {QUANTIZED_NAME}"
+    choice.add_argument("--profile", metavar="NAME", help=text)
     add_set_option(parser, "change one setting", "SECTION.NAME=VALUE")
-    add("--start", type=Path, metavar="RUN",
-        help="start from the network of a finished run, as one trained on simulated images")  # fmt: skip
-    add("--model", metavar="NAME", help="contact model, what the network tells: surface (default), edge, "
-        "surface_force, or another package's (`tactile plugins --all`)")  # fmt: skip
+    text = "start from the network of a finished run, as one trained on simulated images"
+    add("--start", type=Path, metavar="RUN", help=text)
+    text = "contact model, what the network tells: surface (default), edge, surface_force, or another "
+    add("--model", metavar="NAME", help=text + "package's (`tactile plugins --all`)")
     add("--limit", type=positive_int, metavar="N", help="use only N training samples")
     add("--install", type=Path, metavar="FILE", help="copy the exported model to FILE")
-    add(
-        "--repeat", type=positive_int, metavar="N", help="N networks of different seeds, in OUT/seed_0 and on"
-    )
+    add("--repeat", type=positive_int, metavar="N", help="N networks of other seeds, in OUT/seed_0 and on")
     add_job_options(parser, default=1, those="with --repeat: ")
-    parser.set_defaults(run=run_train)
     _register_ensemble(subparsers)
 
 
 def _register_ensemble(subparsers: Any) -> None:
-    parser = subparsers.add_parser(
-        "ensemble",
-        help="join trained networks into one model file",
-        description="Write one ONNX model that gives the mean and covariance of the mixture of several "
-        "networks. It costs as much time as all of them.",
-    )
-    add = parser.add_argument
+    add = add_command(subparsers, "ensemble", run_ensemble, status=1).add_argument
     add("runs", nargs="+", type=Path, help="run folders of `tactile train`, or ONNX files")
     add("--out", type=Path, required=True, metavar="FILE", help="the ONNX file to write")
     add("--data", type=Path, help="training data (as of the runs): calibrate on what the runs held back")
-    parser.set_defaults(run=run_ensemble)
 
 
-@refusing("train", FloatingPointError)
 def run_train(arguments: argparse.Namespace) -> int:
-    """`tactile train`: returns the exit status."""
+    """Train a pose network (needs PyTorch, the extra 'train').
+
+    A run that was interrupted goes on when the same command is given again.
+    """
     return _train_one(arguments) if arguments.repeat is None else _train_many(arguments)
 
 
 def _config(arguments: argparse.Namespace) -> Any:
-    from tactile_perception.training.config import TrainConfig
 
     if arguments.profile:
         chosen = profile(arguments.profile)
@@ -156,7 +139,6 @@ def _units(result: dict[str, Any]) -> dict[str, str]:
 
 
 def _train_many(arguments: argparse.Namespace) -> int:
-    from tactile_perception.training import jobs
 
     console = Console(stderr=True)
     if arguments.install:
@@ -236,9 +218,11 @@ def _print_repeat(out: Path, runs: Sequence[Any]) -> None:
     say(console, f"table: {out / 'repeat.csv'}")
 
 
-@refusing("ensemble")
 def run_ensemble(arguments: argparse.Namespace) -> int:
-    """`tactile ensemble`: returns the exit status."""
+    """Write one ONNX model that gives the mean and covariance of the mixture of several networks.
+
+    It costs as much time as all of them.
+    """
     from tactile_perception.training.ensemble import write_ensemble
 
     check_file(arguments.out)

@@ -1,4 +1,9 @@
-"""`tactile tune`: settings of all running nodes in a table: seen, changed, undone, saved."""
+"""A table in the terminal beside a running graph: settings of all nodes, to see, change, undo and save.
+
+Each has its range and meaning, the value that its node was started with, and the one in force. A changed one
+is in force at once, or is refused and why; undo, two sets to go to and fro between, files that the next
+launch takes. ? shows the keys.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +15,18 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from tactile_bringup.commands.changes import refusing
+from rich.live import Live
+
+from tactile_base.console import lasting_console, say
+from tactile_base.end_signals import signals_into
+from tactile_base.keys import Keys
+from tactile_bringup.commands.changes import add_command
+from tactile_bringup.commands.operate import chosen_domain
+from tactile_bringup.tune_screen import TuneScreen, keys_of
+from tactile_bringup.tuning import Request, Tuning
 
 if TYPE_CHECKING:
     from tactile_bringup.launching.operator import Operator
-    from tactile_bringup.tune_screen import TuneScreen
-    from tactile_bringup.tuning import Request
 
 LOOK = 1.0  # s, between looks for nodes that come and go
 KEYS = 0.1  # s, for which a key is waited for
@@ -24,36 +35,19 @@ Post = Callable[[Callable[[], None]], None]
 
 
 def register(subparsers: Any) -> None:
-    """Add `tune`."""
-    parser = subparsers.add_parser(
-        "tune",
-        help="settings of all running nodes in a table: see, change, undo, save",
-        description="A table in the terminal beside a running graph: each setting with range and meaning, "
-        "the value that its node was started with, and the one in force. A changed one is in force at once, "
-        "or is refused and why; undo, two sets to go to and fro between, files that the next launch takes. "
-        "? shows the keys.",
-        epilog="Exit codes: 0 ended by the user, 2 no terminal.",
-    )
-    parser.add_argument(
-        "find", nargs="?", default="", metavar="TEXT", help="show only what has it in node or name"
-    )
-    parser.set_defaults(run=run)
+    epilog = "exit codes: 0 ended by the user, 2 no terminal"
+    add = add_command(subparsers, "tune", run, __doc__, epilog=epilog).add_argument
+    add("find", nargs="?", default="", metavar="TEXT", help="show only what has it in node or name")
 
 
-@refusing("tune", status=2)
 def run(arguments: argparse.Namespace) -> int:
     """Show the table until the user ends it; returns the exit code."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise ValueError(
             "needs a terminal; without one use tactile get NODE, and tactile set NODE NAME=VALUE"
         )
-    from tactile_base.console import lasting_console, say
-    from tactile_base.end_signals import signals_into
-    from tactile_bringup.commands.operate import chosen_domain
     from tactile_bringup.launching.hands import Hands, carry_out
     from tactile_bringup.launching.operator import Operator
-    from tactile_bringup.tune_screen import TuneScreen
-    from tactile_bringup.tuning import Tuning
 
     domain, posted = chosen_domain(), queue.SimpleQueue[Callable[[], None]]()
 
@@ -84,12 +78,6 @@ def _show(
     screen: TuneScreen, posted: queue.SimpleQueue[Callable[[], None]], ends: Callable[[], bool]
 ) -> None:
     """Draw, and hand over keys and what the other thread posts, until it `ends`."""
-    from rich.live import Live
-
-    from tactile_base.console import lasting_console
-    from tactile_base.keys import Keys
-    from tactile_bringup.tune_screen import keys_of
-
     console, size = lasting_console(), (0, 0)
     with Keys() as keys, Live(screen, console=console, screen=True, auto_refresh=False) as live:
         while not ends():

@@ -24,12 +24,9 @@ class RosEnvironment:
 
     Attributes
     ----------
-    variables : mapping
-        The whole environment of a node.
-    domain_id : int
-        ROS_DOMAIN_ID in it.
-    domain_chosen : bool
-        False where the user had set ROS_DOMAIN_ID.
+    variables : the whole environment of a node
+    domain_id : ROS_DOMAIN_ID in it
+    domain_chosen : false where the user had set ROS_DOMAIN_ID
     """
 
     variables: Mapping[str, str]

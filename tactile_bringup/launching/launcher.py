@@ -47,21 +47,15 @@ class Outcome:
 
     Attributes
     ----------
-    exit_code : int
-        0 done, 1 task failed, 2 not started, 3 a node died, 4 not ready in time, 5 done or ended by a signal,
-        but not in order, 128 + n ended by signal n.
-    reason : str
-        In words; empty when all went well.
-    goals : list of GoalResult
-        Those that ended.
-    logs : Path
-        Folder with one log a node.
-    overload : str
-        What to do about a machine that was overloaded shortly before the end; empty for others.
+    exit_code : 0 done, 1 task failed, 2 not started, 3 a node died, 4 not ready in time, 5 done or ended by a
+        signal, but not in order, 128 + n ended by signal n
+    reason : in words; empty when all went well
+    goals : those that ended
+    logs : folder with one log a node
+    overload : what to do about a machine that was overloaded shortly before the end; empty for others
     at_rest : bool or None
         Whether every arm reported rest before its driver was stopped; None where none had reported at all.
-    escalated : list of str
-        Nodes that did not end by SIGINT alone, and what it took.
+    escalated : nodes that did not end by SIGINT alone, and what it took
     """
 
     exit_code: int
@@ -96,14 +90,10 @@ class Launcher:
 
     Parameters
     ----------
-    graph : Graph
-        What to start, and what its arms do.
-    folder : Path
-        For logs and parameter files.
-    display : Display
-        Shows progress, and how it ended.
-    manner : Manner
-        How.
+    graph : what to start, and what its arms do
+    folder : for logs and parameter files
+    display : shows progress, and how it ended
+    manner : how
     """
 
     def __init__(self, graph: Graph, folder: Path, display: Display, manner: Manner | None = None) -> None:

@@ -7,12 +7,10 @@ says; and of a simulated cell also how long the arm went on, and how deep, by th
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -29,11 +27,11 @@ from tactile_bringup.drill import DEEPEST
 from tactile_bringup.graph import Graph, NodeProcess
 from tactile_bringup.launching.environment import free_domain_id
 from tactile_bringup.launching.operator import Operator
+from tactile_bringup.timing import CLI, reported
 from tactile_msgs.msg import ArmStatus, ContactTruth
 from tactile_ros.qos import IMAGE, STATE
 from tactile_scene.arm import AT_REST, is_at_rest
 
-CLI = [sys.executable, "-m", "tactile_bringup.cli"]
 PATIENCE = 120.0  # s, for a launch to come to its work, and to end
 HELD_UP = 3.0  # s
 SILENCE = 0.1  # s, after which nothing is taken to have moved
@@ -48,17 +46,13 @@ class LiveOutcome:
 
     Attributes
     ----------
-    code : int
-        Exit code of the launch.
-    rest : float
-        Until the arm came to rest, s since the fault; inf: it never did. It may leave the surface after it.
-        By the cell's truth, else by what the arm says; a cell that is held up stands still itself.
-    deepest : float
-        Of the tip since then, m, by the cell's truth; -inf where nobody knows it.
+    code : exit code of the launch
+    rest : until the arm came to rest, s since the fault; inf: it never did. It may leave the surface after
+        it. By the cell's truth, else by what the arm says; a cell that is held up stands still itself.
+    deepest : of the tip since then, m, by the cell's truth; -inf where nobody knows it
     screen, complaints : list of str
         What the launch printed once it was at work; what nodes complained about, as the report has it.
-    reason : str
-        Why it ended, as the report has it; empty where it ended well.
+    reason : why it ended, as the report has it; empty where it ended well
     """
 
     fault: str
@@ -83,8 +77,7 @@ class Saboteur(Operator):
 
     Parameters
     ----------
-    folder : Path
-        Of the launch: its processes are found by it.
+    folder : of the launch: its processes are found by it
     """
 
     def __init__(self, domain_id: int, arm: str, folder: Path) -> None:
@@ -220,26 +213,16 @@ def live_faults(graph: Graph, arm: str, rehearsed: bool) -> dict[str, Callable[[
 
 
 def drill_live(
-    fault: str,
-    harm: Callable[[Saboteur], None],
-    arm: str,
-    launch: Sequence[str],
-    folder: Path,
-    after: float,
+    fault: str, harm: Callable[[Saboteur], None], arm: str, launch: Sequence[str], folder: Path, after: float
 ) -> LiveOutcome:
     """Launch, do harm after so many seconds (s) of work, and wait for the end.
 
     Parameters
     ----------
-    launch : sequence of str
-        Arguments of `tactile launch`: the task and its options.
-    folder : Path
-        A new one, for run, recording and report.
+    launch : arguments of `tactile launch`: the task and its options
+    folder : a new one, for run, recording and report
 
-    Raises
-    ------
-    TimeoutError
-        If the launch does not come to its work, or does not end.
+    Raises `TimeoutError` if the launch does not come to its work, or does not end.
     """
     domain = free_domain_id()
     command = [*CLI, "launch", *launch, "--headless", "--out", f"{folder}/run", "--record", f"{folder}/bag"]
@@ -264,20 +247,10 @@ def drill_live(
         finally:
             process.terminate()
             process.wait()
-    outcome.screen = _lines(screen)[before:]
-    _add_report(outcome, folder)
+    outcome.screen, report = _lines(screen)[before:], reported(folder)
+    outcome.reason, outcome.complaints = report.get("reason", ""), report.get("complaints", [])
     return outcome
 
 
 def _lines(path: Path) -> list[str]:
     return [line for line in path.read_text().splitlines() if line]
-
-
-def _add_report(outcome: LiveOutcome, folder: Path) -> None:
-    """What the report of the recording says."""
-    command = [*CLI, "report", f"{folder}/bag", "--out", f"{folder}/report"]
-    subprocess.run(command, capture_output=True, check=False)
-    found = next((folder / "report").rglob("report.json"), None)
-    if found is not None:
-        values = json.loads(found.read_text())
-        outcome.reason, outcome.complaints = values["reason"], values["complaints"]

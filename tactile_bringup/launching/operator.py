@@ -120,17 +120,13 @@ class Operator(GraphClient):
                 return
 
     def _has_spoken(self, view: ArmView) -> bool:
-        """Whether the arm has, and its controller, where it has one."""
         controllers = self._node.count_publishers(topics.CONTROLLER_STATUS.of(view.name).name)
         return view.status is not None and (view.controller is not None or not controllers)
 
     def chosen(self, names: Sequence[str]) -> list[ArmView]:
         """The arms of these names, or all of them.
 
-        Raises
-        ------
-        OperatorError
-            Where there is none, or none of a name.
+        Raises `OperatorError` where there is none, or none of a name.
         """
         if not self.arms:
             raise OperatorError(f"no arm was found in ROS domain {self.domain_id}")

@@ -33,12 +33,9 @@ class ProcessDied(RuntimeError):
 
     Attributes
     ----------
-    name : str
-        Name of the process.
-    exit_code : int
-        As in `subprocess`: negative for a signal.
-    log : Path
-        Where its output is.
+    name : name of the process
+    exit_code : as in `subprocess`: negative for a signal
+    log : where its output is
     """
 
     def __init__(self, name: str, exit_code: int, log: Path) -> None:

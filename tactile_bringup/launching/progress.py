@@ -83,7 +83,6 @@ def _name(arm: str, label: str) -> str:
 
 
 def _figures(progress: TaskProgress) -> list[str]:
-    """The numbers that are known, with units."""
     known = (
         ("depth", progress.depth * MM, ".2f", "mm"),
         ("normal error", progress.normal_error * DEGREES, ".1f", "deg"),

@@ -45,14 +45,10 @@ class Progress:
 
     Attributes
     ----------
-    fraction, travelled
-        Part of the goal done, 0 to 1, and the way so far (m).
-    depth, normal_error
-        As believed (m, rad); NaN without a belief.
-    latency
-        From exposure to command, of the last command (s); NaN before the first.
-    arm_mode
-        A constant of ArmStatus; None before its first message.
+    fraction, travelled : part of the goal done, 0 to 1, and the way so far (m)
+    depth, normal_error : as believed (m, rad); NaN without a belief
+    latency : from exposure to command, of the last command (s); NaN before the first
+    arm_mode : a constant of ArmStatus; None before its first message
     """
 
     phase: str = ""
@@ -103,8 +99,7 @@ class TaskClient(GraphClient):
 
     Parameters
     ----------
-    domain_id : int
-        ROS domain of the nodes.
+    domain_id : ROS domain of the nodes
     """
 
     def __init__(self, domain_id: int) -> None:

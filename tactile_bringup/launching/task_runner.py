@@ -81,18 +81,12 @@ class TaskRunner:
 
     Attributes
     ----------
-    nodes : sequence of str
-        Full names of the managed nodes that have to be active.
-    plans : sequence of ArmPlan
-        What each arm does.
-    signals : list of int
-        Signals received so far (see `collecting_signals`).
-    check : callable
-        Called often; raises to end the run.
-    results : list of GoalResult
-        Of the goals that have ended.
-    cores : CoreWatch
-        Whether the machine is overloaded.
+    nodes : full names of the managed nodes that have to be active
+    plans : what each arm does
+    signals : signals received so far (see `collecting_signals`)
+    check : called often; raises to end the run
+    results : of the goals that have ended
+    cores : whether the machine is overloaded
     """
 
     client: TaskClient
@@ -163,7 +157,6 @@ class TaskRunner:
             raise GoalFailed(sequence.failure)
 
     def _follow(self, sequence: RunSequence, labels: dict[str, Label]) -> None:
-        """Take in what the arms have reported, and show it."""
         running = {
             plan.arm: (labels[plan.arm], self.client.arm(plan.arm))
             for plan in self.plans

@@ -30,7 +30,6 @@ def write_view(graph: Graph, folder: Path) -> Path:
 
 
 def _arms_shown(graph: Graph) -> list[dict[str, Any]]:
-    """A display of each arm that a URDF describes."""
     arms = [arm for topic in graph.topics if (arm := ROBOT_DESCRIPTION.arm_of(topic.name)) is not None]
     return [
         {

@@ -217,7 +217,7 @@ class ContactModel:
         return outputs[:, :POSE] * _TABLE_SCALE
 
     def error(self, found: Array, labels: Array) -> Array:
-        """found - labels (N, K), the short way round for angles that go all round."""
+        """Found - labels (N, K), the short way round for angles that go all round."""
         error = found - labels
         turning = list(self.turning)
         error[:, turning] = (error[:, turning] + np.pi) % (2.0 * np.pi) - np.pi

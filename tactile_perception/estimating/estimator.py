@@ -13,8 +13,8 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
-from tactile_geometry.gaussian import PoseGaussian
 from tactile_filter.force import ForceGaussian
+from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.estimating.image import Image, ImageError
 from tactile_perception.estimating.labels import EstimateError, gaussian_from_root, pose_gaussian
 from tactile_perception.estimating.model_metadata import (

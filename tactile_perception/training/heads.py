@@ -82,7 +82,7 @@ class Head(ABC):
         """Covariances (N, K, K) around the means."""
 
     def error(self, labels: Tensor, mean: Tensor) -> tuple[Tensor, Tensor]:
-        """labels - mean (..., K), 0 where there is no label, and where there is one, as 0 and 1."""
+        """Labels - mean (..., K), 0 where there is no label, and where there is one, as 0 and 1."""
         labelled = torch.isfinite(labels)
         error = torch.where(labelled, labels - mean, 0.0)
         for k in self.model.turning:  # the short way round

@@ -37,7 +37,7 @@ def device(monkeypatch):
         Path("/dev/v4l/by-id/usb-HD"),
         (video_devices.VideoFormat("MJPG", 640, 480, (60.0, 30.0)),),
     )
-    monkeypatch.setattr(video_devices, "find_devices", lambda: [found])
+    monkeypatch.setattr(command, "find_devices", lambda: [found])
     return device
 
 
@@ -191,16 +191,16 @@ WRONG = {
 @pytest.mark.parametrize("words, complaint", WRONG.values(), ids=WRONG)
 def test_what_is_wrong_is_a_sentence(words, complaint, capsys, monkeypatch):
     two = [video_devices.VideoDevice(Path(f"/dev/video{n}"), "", Path(f"/dev/video{n}")) for n in range(2)]
-    monkeypatch.setattr(video_devices, "find_devices", lambda: two)
+    monkeypatch.setattr(command, "find_devices", lambda: two)
     if "/dev/video0" not in words and words != ["check"] and "/dev/video7" not in words:
-        monkeypatch.setattr(video_devices, "find_devices", lambda: two[:1])
+        monkeypatch.setattr(command, "find_devices", lambda: two[:1])
     assert main(["camera", *words]) == 1
     text = " ".join(capsys.readouterr().err.split())
     assert complaint in text and "Traceback" not in text
 
 
 def test_no_camera_at_all_is_a_sentence(capsys, monkeypatch):
-    monkeypatch.setattr(video_devices, "find_devices", list)
+    monkeypatch.setattr(command, "find_devices", list)
     assert main(["camera", "list"]) == 1
     assert "there is no video device: is the camera plugged in?" in capsys.readouterr().err
 
@@ -232,7 +232,8 @@ def test_a_camera_that_cannot_be_used_is_a_sentence_and_no_scene_is_written(
 def test_a_scene_that_cannot_be_written_to_stays_as_it_was(device, scene, capsys):
     before = scene.read_text()
     assert main(["camera", "scene", "--into", str(scene), "--arm", "left"]) == 1
-    assert "there is no arm 'left'; arms: arm" in " ".join(capsys.readouterr().err.split())
+    said = " ".join(capsys.readouterr().err.split())
+    assert "--arm must name an arm; unknown name 'left'; valid: arm" in said
     assert main(["camera", "scene", "--into", str(scene.parent / "other.yaml")]) == 1
     assert "other.yaml" in capsys.readouterr().err
     assert scene.read_text() == before

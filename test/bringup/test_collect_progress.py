@@ -16,11 +16,11 @@ class Said:
 
 
 def test_lines_tell_samples_and_time_left_and_finding_the_surface_does_not_count(monkeypatch, capsys):
-    clock = iter([0.0, 60.0, 71.0, 82.0])
-    monkeypatch.setattr(progress.time, "monotonic", lambda: next(clock))
+    said = (Said("touch", 0.4), Said("rotate", 0.4), Said("shear", 0.5), Said("rotate", 0.6, 0.001))
     with CollectionDisplay(Console(force_terminal=False), live=False, samples=10) as display:
-        for said in (Said("touch", 0.4), Said("rotate", 0.4), Said("shear", 0.5), Said("rotate", 0.6, 0.001)):
-            display.show("arm", "", said)
+        for now_s, one in zip((0.0, 60.0, 71.0, 82.0), said, strict=True):
+            monkeypatch.setattr(progress.time, "monotonic", lambda now_s=now_s: now_s)
+            display.show("arm", "", one)
     first, *_, last = capsys.readouterr().out.splitlines()
     assert first == "arm: 4 of 10 samples, rotate"
     assert last == "arm: 6 of 10 samples, rotate, depth  1.00 mm, 44 s left"

@@ -3,7 +3,7 @@
 import pytest
 
 from tactile_bringup.cli import main
-from tactile_bringup.commands import launch
+from tactile_bringup.commands import move
 
 SCENE = """
 arms:
@@ -29,7 +29,7 @@ def asked(tmp_path, monkeypatch):
         graphs.append(graph)
         return type("Outcome", (), {"exit_code": 0})
 
-    monkeypatch.setattr(launch, "launch_graph", launched)
+    monkeypatch.setattr(move, "launch_graph", launched)
 
     def ask(*words: str, more: str = "", scene: str = SCENE) -> tuple[int, list]:
         (tmp_path / "cell.yaml").write_text(scene.replace("MORE", more))
@@ -48,7 +48,7 @@ def asked(tmp_path, monkeypatch):
         ("--to 0.3 0 0.2 --speed 0", "", "--speed 0: must lie in"),
         ("--to 0.3 0", "", "--to: must be 3 or 6 numbers, these are 2"),
         ("--to nan 0 0.2", "", "position[0]: is not a number"),
-        ("--to 0.3 0 0.2 --arm left", "", "--arm: unknown name 'left'; valid: arm"),
+        ("--to 0.3 0 0.2 --arm left", "", "--arm must name an arm; unknown name 'left'; valid: arm"),
         ("--to 0.6 0 0.3 0 -90 0", KNOWN, "out of reach of the ur5e"),
         ("--to 1.5 0 0.3", KNOWN, "out of reach of the ur5e"),
     ],

@@ -11,8 +11,7 @@ from other_package import installed
 
 from tactile_base.settings import SettingError
 from tactile_bringup import cli, driver_check
-from tactile_bringup.commands.plugins import registries
-from tactile_bringup.plugin_check import check_plugin
+from tactile_bringup.plugin_check import REGISTRIES, check_plugin
 
 
 @pytest.fixture(autouse=True)
@@ -44,7 +43,7 @@ def problems(monkeypatch, bench):
 
 
 def test_all_that_this_package_brings_keeps_its_contract():
-    for registry in registries():
+    for registry in REGISTRIES:
         for entry in registry.entries():
             if entry.package == "tactile_servoing":
                 assert registry.contract.objections(registry.load(entry.name)) == [], entry

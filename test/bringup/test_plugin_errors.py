@@ -96,11 +96,10 @@ def test_what_a_plugin_raises_in_any_command_has_its_name_place_and_traceback(er
     """`refusing`, which runs every command: whatever kind of error it is."""
     bowl = SHAPES.load("bowl")
 
-    @refusing("report", status=2)
     def run(arguments):
         bowl(bowl.settings_class()).query(None)
 
-    assert run(None) == 2
+    assert refusing(run, "tactile report")(None) == 2
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].startswith("tactile report: shape 'bowl': ValueError: could not convert")
     assert lines[0].endswith(line_of("ValueError(")) and lines[1].startswith("Traceback")

@@ -78,7 +78,7 @@ def texts(result, level: str) -> list[str]:
 
 
 def run(*arguments: str) -> int:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(prog="tactile")
     data_command.register(parser.add_subparsers())
     parsed = parser.parse_args(["data", "check", *arguments])
     return parsed.run(parsed)

@@ -25,7 +25,7 @@ EULER = np.random.default_rng(4).uniform([-4, -4, 0.5, -20, -20, -5], [4, 4, 6, 
 
 
 def run(*arguments: object) -> int:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(prog="tactile")
     data_command.register(parser.add_subparsers())
     parsed = parser.parse_args(["data", "import", *map(str, arguments)])
     return parsed.run(parsed)

@@ -77,12 +77,12 @@ def video(tmp_path: Path) -> Path:
     return path
 
 
-def arguments(source: object, model: Path, out: Path, **changes: object) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
+def estimated(source: object, model: Path, out: Path, **changes: object) -> int:
+    parser = argparse.ArgumentParser(prog="tactile")
     commands.register(parser.add_subparsers())
     parsed = parser.parse_args(["estimate", str(source), "--model", str(model), "--out", str(out)])
     vars(parsed).update(changes)
-    return parsed
+    return parsed.run(parsed)
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -138,7 +138,7 @@ def test_motion_noise_has_the_size_asked_for():
 
 def test_a_folder_becomes_a_table_and_a_picture(folder, constant_model, tmp_path):
     out = tmp_path / "out"
-    assert commands.run_estimate(arguments(folder, constant_model((0, 0, -3.0, 0, 0, 0)), out)) == 0
+    assert estimated(folder, constant_model((0, 0, -3.0, 0, 0, 0)), out) == 0
     table = rows(out / "estimates.csv")
     assert sorted(row["name"] for row in table) == sorted(f"image_{k}.png" for k in range(1, 13))
     assert float(table[0]["network_rho_z_mm"]) == pytest.approx(-3.0, abs=1e-4)
@@ -155,7 +155,7 @@ def test_processed_images_of_another_size_are_taken_as_they_are_and_told(
     (folder / "process_image_params.json").write_text('{"bbox": [110, 30, 530, 450]}')
     (folder / "processed_image_params.json").unlink()
     out = tmp_path / "out"
-    assert commands.run_estimate(arguments(folder, constant_model(), out)) == 0
+    assert estimated(folder, constant_model(), out) == 0
     assert len(rows(out / "estimates.csv")) == 12
     told = capsys.readouterr().err
     assert "bbox = (110, 30, 530, 450), not (105, 20, 550, 460)" in told
@@ -173,7 +173,7 @@ def test_errors_are_those_of_the_labels(folder, constant_model):
 
 def test_a_video_without_poses_becomes_a_table_and_a_time_series(video, constant_model, tmp_path):
     out = tmp_path / "out"
-    assert commands.run_estimate(arguments(video, constant_model(), out)) == 0
+    assert estimated(video, constant_model(), out) == 0
     table = rows(out / "estimates.csv")
     assert len(table) == 9
     assert int(table[3]["stamp_ns"]) == pytest.approx(1e8, rel=0.01)
@@ -186,7 +186,7 @@ def test_a_video_with_poses_is_filtered(video, constant_model, tmp_path):
     poses.write_text("x_mm,y_mm,z_mm,alpha_deg,beta_deg,gamma_deg\n" + "0,0,3,0,0,0\n" * 9)
     out = tmp_path / "out"
     model = constant_model((0, 0, -3.0, 0, 0, 0), INVERSE_SIGMA)
-    assert commands.run_estimate(arguments(video, model, out, poses=poses)) == 0
+    assert estimated(video, model, out, poses=poses) == 0
     last = rows(out / "estimates.csv")[-1]
     assert float(last["filtered_rho_z_mm"]) == pytest.approx(-3.0, abs=1e-4)
     assert float(last["filtered_sigma_rho_x_mm"]) < float(last["network_sigma_rho_x_mm"])
@@ -241,7 +241,7 @@ def test_fewer_poses_than_frames_is_an_error(video):
 @pytest.mark.parametrize("source", ["nowhere", "no_video.avi"])
 def test_a_source_that_is_nothing_is_told_on_the_command_line(tmp_path, constant_model, capsys, source):
     (tmp_path / "no_video.avi").write_text("hello")
-    status = commands.run_estimate(arguments(tmp_path / source, constant_model(), tmp_path / "out"))
+    status = estimated(tmp_path / source, constant_model(), tmp_path / "out")
     assert status == 1
     assert "tactile estimate:" in capsys.readouterr().err
 
@@ -249,16 +249,15 @@ def test_a_source_that_is_nothing_is_told_on_the_command_line(tmp_path, constant
 def test_the_simulators_model_on_images_that_are_not_said_to_be_simulated_is_told(folder, tmp_path, capsys):
     source = tmp_path / "copy"
     shutil.copytree(folder, source)
-    given = arguments(source, shipped_model(), tmp_path / "out", no_filter=True, limit=1)
-    assert given.run(given) == 0
+    assert estimated(source, shipped_model(), tmp_path / "out", no_filter=True, limit=1) == 0
     assert "the shipped model has seen simulated images alone" in capsys.readouterr().err
     (source / "collect_params.json").write_text('{"robot": "sim"}')
-    assert given.run(given) == 0
+    assert estimated(source, shipped_model(), tmp_path / "out", no_filter=True, limit=1) == 0
     assert "simulated images alone" not in capsys.readouterr().err
 
 
 def test_a_missing_model_is_told_on_the_command_line(folder, tmp_path, capsys):
-    assert commands.run_estimate(arguments(folder, tmp_path / "m.onnx", tmp_path / "out")) == 1
+    assert estimated(folder, tmp_path / "m.onnx", tmp_path / "out") == 1
     assert "there is no such model file" in capsys.readouterr().err
 
 

@@ -70,7 +70,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 def run(data: object, *models: object, out: Path, more: tuple[str, ...] = ()) -> int:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(prog="tactile")
     evaluate_command.register(parser.add_subparsers())
     arguments = ["evaluate", *more, "--data", str(data), "--model", *map(str, models), "--out", str(out)]
     parsed = parser.parse_args(arguments)

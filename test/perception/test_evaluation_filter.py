@@ -58,7 +58,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 def run(data: Path, model: Path, out: Path, *more: str) -> int:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(prog="tactile")
     evaluate_command.register(parser.add_subparsers())
     arguments = ["evaluate", "filter", "--data", str(data), "--model", str(model), "--out", str(out), *more]
     parsed = parser.parse_args(arguments)

@@ -17,7 +17,7 @@ from tactile_perception.datasets.dataset import read_dataset
 
 
 def generate(out: Path, *options: str) -> int:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(prog="tactile")
     data_command.register(parser.add_subparsers())
     parsed = parser.parse_args(["data", "generate", str(out), "--jobs", "1", *options])
     return parsed.run(parsed)

@@ -31,7 +31,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 def run(model: Path, data: Path, out: Path, *more: str) -> int:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(prog="tactile")
     calibrate_command.register(parser.add_subparsers())
     parsed = parser.parse_args(["calibrate", str(model), "--data", str(data), "--out", str(out), *more])
     return int(parsed.run(parsed))

@@ -378,7 +378,7 @@ def test_validation_data_has_to_be_named(training_data, tmp_path):
 
 def command(*words: object) -> int:
     """Run `tactile train`."""
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(prog="tactile")
     train_command.register(parser.add_subparsers())
     arguments = parser.parse_args(["train", *map(str, words)])
     return arguments.run(arguments)

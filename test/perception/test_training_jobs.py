@@ -37,7 +37,7 @@ def one_thread():
 
 def command(*words: object) -> int:
     """Run `tactile train` or `tactile ensemble`."""
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(prog="tactile")
     train_command.register(parser.add_subparsers())
     arguments = parser.parse_args([str(word) for word in words])
     return arguments.run(arguments)

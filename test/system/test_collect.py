@@ -94,7 +94,7 @@ def test_other_ranges_do_not_mix_into_a_folder(tmp_path, capsys):
     def plan(*options: str):
         import argparse
 
-        parser = argparse.ArgumentParser()
+        parser = argparse.ArgumentParser(prog="tactile")
         register(parser.add_subparsers())
         return make_plan(parser.parse_args(["data", "collect", str(tmp_path / "data"), *options]))
 
@@ -115,7 +115,7 @@ def test_with_an_external_arm_only_the_stage_before_it_is_started(tmp_path):
     scene = tmp_path / "external.yaml"
     text = config_path("scenes/plane.yaml").read_text()
     scene.write_text(text.replace("driver: sim", "driver: external"))
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(prog="tactile")
     register(parser.add_subparsers())
     graph = make_plan(parser.parse_args(["collect", str(tmp_path / "data"), "--scene", str(scene)])).graph
     assert [n.full_name for n in graph.nodes] == ["/arm/arm", "/arm/controller"]
