@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import weakref
-from dataclasses import dataclass
 
 import numpy as np
 import ruckig
@@ -13,15 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_scene.arm_settings import ArmLimits
 
 Array = NDArray[np.float64]
-
-
-@dataclass
-class _Ruckig:
-    """What Ruckig calculates with."""
-
-    generator: ruckig.Ruckig
-    trajectory: ruckig.Trajectory
-    input: ruckig.InputParameter
 
 
 class TwistProfile:
@@ -34,7 +24,8 @@ class TwistProfile:
     """
 
     def __init__(self, limits: ArmLimits) -> None:
-        self._ruckig: _Ruckig | None = _Ruckig(ruckig.Ruckig(6), ruckig.Trajectory(6), _ruckig_input(limits))
+        self._ruckig: tuple[ruckig.Ruckig, ruckig.InputParameter, ruckig.Trajectory] | None
+        self._ruckig = ruckig.Ruckig(6), _ruckig_input(limits), ruckig.Trajectory(6)
         _LIVING.add(self)
         self.start(np.zeros(6))
 
@@ -50,17 +41,16 @@ class TwistProfile:
         RuntimeError
             If Ruckig finds no way.
         """
-        using = self._ruckig
-        if using is None or not (self.twist.any() or target.any() or self.acceleration.any()):
+        if self._ruckig is None or not (self.twist.any() or target.any() or self.acceleration.any()):
             return np.zeros(6)
-        using.input.current_velocity = self.twist
-        using.input.current_acceleration = self.acceleration
-        using.input.target_velocity = target
-        result = using.generator.calculate(using.input, using.trajectory)
+        generator, inputs, trajectory = self._ruckig
+        inputs.current_velocity, inputs.current_acceleration = self.twist, self.acceleration
+        inputs.target_velocity = target
+        result = generator.calculate(inputs, trajectory)
         if result < 0:
             raise RuntimeError(f"Ruckig found no trajectory from {self.twist} to {target}: {result}")
-        moved, twist, acceleration = using.trajectory.at_time(dt)
-        if dt >= using.trajectory.duration:  # there, exactly: rest is rest
+        moved, twist, acceleration = trajectory.at_time(dt)
+        if dt >= trajectory.duration:  # there, exactly: rest is rest
             self.twist, self.acceleration = target.copy(), np.zeros(6)
         else:
             self.twist, self.acceleration = np.array(twist), np.array(acceleration)

@@ -112,15 +112,9 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT,
-                                        "_laws",
-                                        "Arithmetic of control, in C.",
-                                        -1,
-                                        methods,
-                                        NULL,
-                                        NULL,
-                                        NULL,
-                                        NULL};
+static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, .m_name = "_laws",
+                                        .m_doc = "Arithmetic of control, in C.", .m_size = -1,
+                                        .m_methods = methods};
 
 
 PyMODINIT_FUNC PyInit__laws(void) {

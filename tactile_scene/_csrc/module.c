@@ -248,15 +248,9 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT,
-                                        "_native",
-                                        "What shapes and arms do at each step, in C.",
-                                        -1,
-                                        methods,
-                                        NULL,
-                                        NULL,
-                                        NULL,
-                                        NULL};
+static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, .m_name = "_native",
+                                        .m_doc = "What shapes and arms do at each step, in C.",
+                                        .m_size = -1, .m_methods = methods};
 
 
 PyMODINIT_FUNC PyInit__native(void) {

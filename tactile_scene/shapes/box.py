@@ -9,7 +9,7 @@ import numpy as np
 
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_scene import _native
-from tactile_scene.shapes.surface import Array, Surface
+from tactile_scene.shapes.surface import Array, Surface, rounded_grid
 
 _QUADRANTS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
@@ -49,16 +49,6 @@ class Box(Surface):
 
     def grid(self, n: int = 60) -> Array:
         """A grid on a sphere, cut into eight and moved to the core's corners: faces are what lies between."""
-        count = max(2, n // 4)
-        azimuth = (np.arange(4)[:, None] * np.pi / 2 + np.linspace(0.0, np.pi / 2, count)).ravel()
-        polar = np.concatenate([np.linspace(np.pi, np.pi / 2, count), np.linspace(np.pi / 2, 0.0, count)])
-        a, p = np.meshgrid(azimuth, polar)
-        ball = np.stack([np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)], axis=-1)
-        corner = np.empty_like(ball)
-        corner[..., :2] = np.repeat(_QUADRANTS, count, axis=0)
-        corner[..., 2] = np.repeat([-1.0, 1.0], count)[:, None]
-        sides = corner * self._core + self.settings.rounding * ball
-        sides = np.concatenate([sides, sides[:, :1]], axis=1)
-        middle = np.zeros((1, sides.shape[1], 3))
-        middle[..., 2] = self.settings.size[2] / 2
-        return np.concatenate([-middle, sides, middle])
+        s, count = self.settings, max(2, n // 4)
+        azimuth = np.arange(4)[:, None] * np.pi / 2 + np.linspace(0.0, np.pi / 2, count)
+        return rounded_grid(azimuth, _QUADRANTS * self._core[:2], s.size[2] / 2, s.rounding, count)

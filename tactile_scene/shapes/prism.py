@@ -8,7 +8,7 @@ import numpy as np
 
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_scene import _native
-from tactile_scene.shapes.surface import Array, Surface
+from tactile_scene.shapes.surface import Array, Surface, rounded_grid
 
 
 @dataclass(frozen=True)
@@ -47,19 +47,7 @@ class Prism(Surface):
         s, sector = self.settings, 2 * np.pi / self.settings.sides
         count = max(2, n // s.sides)
         corner = np.pi / 2 + sector * (np.arange(s.sides) + 0.5)
-        azimuth = (corner[:, None] + np.linspace(-sector / 2, sector / 2, count)).ravel()
-        count_up = max(2, n // 4)
-        polar = np.concatenate(
-            [np.linspace(np.pi, np.pi / 2, count_up), np.linspace(np.pi / 2, 0.0, count_up)]
-        )
-        a, p = np.meshgrid(azimuth, polar)
-        ball = np.stack([np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)], axis=-1)
+        azimuth = corner[:, None] + np.linspace(-sector / 2, sector / 2, count)
         reach = (s.width / 2 - s.rounding) / np.cos(sector / 2)
-        core = np.empty_like(ball)
-        core[..., :2] = reach * np.repeat(np.stack([np.cos(corner), np.sin(corner)], axis=1), count, axis=0)
-        core[..., 2] = np.repeat([-1.0, 1.0], count_up)[:, None] * (s.height / 2 - s.rounding)
-        sides = core + s.rounding * ball
-        sides = np.concatenate([sides, sides[:, :1]], axis=1)
-        middle = np.zeros((1, sides.shape[1], 3))
-        middle[..., 2] = s.height / 2
-        return np.concatenate([-middle, sides, middle])
+        corners = reach * np.stack([np.cos(corner), np.sin(corner)], axis=1)
+        return rounded_grid(azimuth, corners, s.height / 2, s.rounding, max(2, n // 4))

@@ -51,21 +51,6 @@ class Ramp(Surface):
     settings_class = RampSettings
     settings: RampSettings
 
-    @property
-    def max_slope(self) -> float:
-        """Steepest angle of the profile, rad."""
-        return float(np.arctan(1.875 * self.settings.height / self.settings.length))
-
-    @property
-    def min_curvature_radius(self) -> float:
-        """A lower bound of the profile's radius of curvature, m (the bound leaves the slope out)."""
-        second = self._max_second_derivative
-        return float(1.0 / second) if second > 0 else float("inf")
-
-    @property
-    def _max_second_derivative(self) -> float:
-        return 10.0 / np.sqrt(3.0) * self.settings.height / self.settings.length**2
-
     def profile(self, y: Array) -> tuple[Array, Array, Array]:
         """Height h(y) in m, slope h'(y) and h''(y) in 1/m, each of the shape of `y` (m)."""
         height, length = self.settings.height, self.settings.length
@@ -98,7 +83,10 @@ class Ramp(Surface):
         """Parameters u (N,) of the nearest points (u, h(u)) to (y, z)."""
         u, gap, converged = self._newton(y, z)
         # Well within the smallest radius of curvature the condition rises with u: its root is unique.
-        search = ~converged | (gap * self._max_second_derivative > 0.7)
+        most_bent = (
+            10.0 / np.sqrt(3.0) * self.settings.height / self.settings.length**2
+        )  # largest h''(y), 1/m
+        search = ~converged | (gap * most_bent > 0.7)
         if search.any():
             u[search] = self._search(y[search], z[search])
         return u

@@ -67,6 +67,22 @@ class Surface(ABC):
         return points.reshape(-1, 3), faces
 
 
+def rounded_grid(azimuth: Array, corners: Array, height: float, rounding: float, count: int) -> Array:
+    """A grid on a sphere, cut and moved to a core's `corners` (N, 2) up and down, and the ends' middles.
+
+    The ends are at -height and height; a corner has a row of `azimuth` (N, M) in rad, and `count` rows.
+    """
+    polar = np.concatenate([np.linspace(np.pi, np.pi / 2, count), np.linspace(np.pi / 2, 0.0, count)])
+    a, p = np.meshgrid(azimuth, polar)
+    sides = rounding * np.stack([np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)], axis=-1)
+    sides[..., :2] += np.repeat(corners, azimuth.shape[1], axis=0)
+    sides[..., 2] += np.repeat([rounding - height, height - rounding], count)[:, None]
+    sides = np.concatenate([sides, sides[:, :1]], axis=1)
+    middle = np.zeros((1, sides.shape[1], 3))
+    middle[..., 2] = height
+    return np.concatenate([-middle, sides, middle])
+
+
 @dataclass(frozen=True)
 class ContactGeometry:
     """Where an undeformed spherical tip meets a surface.

@@ -160,12 +160,10 @@ def test_reading_the_names_of_the_shapes_loads_none_of_them():
 
 def test_the_ramp_of_the_default_settings_is_gentle():
     ramp = make_surface("ramp")
-    assert 15.0 < np.degrees(ramp.max_slope) < 25.0
-    assert ramp.min_curvature_radius > 0.1  # five times the tip's radius
     y = np.linspace(-0.02, 0.16, 20_001)
     slope, second = ramp.profile(y)[1:]
-    assert np.degrees(np.arctan(np.abs(slope).max())) == pytest.approx(np.degrees(ramp.max_slope), rel=1e-6)
-    assert 1.0 / np.abs(second).max() == pytest.approx(ramp.min_curvature_radius, rel=1e-6)
+    assert 15.0 < np.degrees(np.arctan(np.abs(slope).max())) < 25.0
+    assert 1.0 / np.abs(second).max() > 0.1  # m, five times the tip's radius
 
 
 def test_the_ramp_profile_is_twice_continuously_differentiable():
