@@ -25,7 +25,6 @@ from tactile_bringup.commands.changes import (
 from tactile_bringup.commands.quantize import quantize_run
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS, errors_in_words
 from tactile_perception.estimating.model_metadata import MODEL_NAME, QUANTIZED_NAME
-from tactile_perception.training import jobs
 from tactile_perception.training.config import TrainConfig, profile
 
 
@@ -139,6 +138,7 @@ def _units(result: dict[str, Any]) -> dict[str, str]:
 
 
 def _train_many(arguments: argparse.Namespace) -> int:
+    from tactile_perception.training import jobs  # needs PyTorch, which options and help do not
 
     console = Console(stderr=True)
     if arguments.install:

@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+import sys
 
 import pytest
 
@@ -44,6 +45,23 @@ def offered(script):
         return found.stdout.split()
 
     return complete
+
+
+def test_no_word_of_a_command_needs_what_only_its_work_does():
+    """Where there is neither PyTorch nor onnx, all commands complete, and tell their options."""
+    absent = """
+import importlib.abc, sys
+class Absent(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name in ("torch", "onnx"):
+            raise ModuleNotFoundError(f"No module named '{name}'", name=name)
+sys.meta_path.insert(0, Absent())
+from tactile_bringup.cli import main
+"""
+    for words in (["completion", "bash"], ["train", "--help"], ["quantize", "--help"]):
+        code = f"{absent}sys.exit(main({words}))"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(
