@@ -53,6 +53,10 @@ NOTES = _profile(10, latched=True)
 
 DIAGNOSTICS = _profile(10)
 
+LOOKING = _profile(50, reliable=False)
+"""How somebody looks on: he gets the newest, and no publisher keeps for him what he has missed. For a slow
+reader that was reliable, nodes on a busy machine kept five minutes of messages: hundreds of MB."""
+
 
 def writer_profile(profile: QoSProfile) -> QoSProfile:
     """What a publisher keeps of a topic whose readers use this profile.
@@ -66,15 +70,10 @@ def writer_profile(profile: QoSProfile) -> QoSProfile:
 
 
 def viewer_profile(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
-    """How somebody looks at a topic that may be anybody's.
-
-    What is said once is there for him, too. Of all else he gets the newest, and no publisher keeps for him
-    what he has missed: for a reliable one that was too slow on a busy machine nodes kept what was 5 minutes
-    old, and grew by hundreds of MB.
-    """
+    """How somebody looks at a topic that may be anybody's: what is said once is there for him, too."""
     offered = [info.qos_profile.durability for info in publishers]
     kept = bool(offered) and all(durability == DurabilityPolicy.TRANSIENT_LOCAL for durability in offered)
-    return _profile(LATENCY.depth, reliable=kept, latched=kept)
+    return TF_STATIC if kept else LOOKING
 
 
 def recorder_profile(topic: Topic) -> QoSProfile:

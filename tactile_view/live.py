@@ -11,7 +11,7 @@ from tactile_base.topics import LATCHED, Topic
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_bringup.launching.operator import Operator, OperatorError
 from tactile_ros.conversions import message_class
-from tactile_ros.qos import DIAGNOSTICS, IMAGE, LATENCY, NOTES, STATE, TF, TF_STATIC
+from tactile_ros.qos import DIAGNOSTICS, IMAGE, LOOKING, NOTES, TF_STATIC
 from tactile_view.cell_state import CellState, installed_types, shown_topics
 
 LOOK = 1.0  # s, between looks for arms that are new
@@ -19,11 +19,11 @@ KEPT = 5.0  # s, that it goes on after the last page was closed: it may be loade
 ALWAYS = (topics.DIAGNOSTICS, topics.ROSOUT, topics.PARAMETER_EVENTS, topics.ESTOP)  # little, and told once
 SHARED = (topics.TF, topics.TF_STATIC)
 _PROFILES = {
-    topics.TF.name: TF,
     topics.TF_STATIC.name: TF_STATIC,
     topics.DIAGNOSTICS.name: DIAGNOSTICS,
     topics.ROSOUT.name: NOTES,
     topics.PARAMETER_EVENTS.name: DIAGNOSTICS,
+    topics.ESTOP.name: DIAGNOSTICS,
 }
 IMAGE_RATE = 10.0  # Hz, at which images are taken: others are not even copied
 
@@ -81,7 +81,7 @@ class LiveGraph(GraphClient):
                 due = now + 1.0 / IMAGE_RATE
             self._state.take(name, kind, data, time.time_ns())
 
-        profile = _PROFILES.get(name, LATENCY if name.endswith(topics.LATENCY.name) else STATE)
+        profile = _PROFILES.get(name, LOOKING)
         profile = IMAGE if is_image else NOTES if topic.qos == LATCHED and name not in _PROFILES else profile
         return self._node.create_subscription(message_class(kind), name, take, profile, raw=True)
 

@@ -32,6 +32,7 @@ class FoxgloveBridge(GraphClient):
 
     def __init__(self, domain_id: int, host: str, port: int) -> None:
         super().__init__("/tactile_foxglove", domain_id)
+        foxglove.set_log_level("CRITICAL")  # it has a line for each message to a client that has just gone
         self._context_of_channels = foxglove.Context()
         self._channels: dict[str, foxglove.Channel] = {}
         self._types: dict[str, str] = {}
