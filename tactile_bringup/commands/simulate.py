@@ -17,6 +17,7 @@ from tactile_base.progress import Progress
 from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import add_command
 from tactile_bringup.commands.launch import TASK_HELP, add_task_options, add_view_option
+from tactile_bringup.launching.page_process import served_page
 from tactile_bringup.offline import Log, OfflineOptions, run_arms_offline
 from tactile_bringup.offline_bag import OfflineBag
 from tactile_bringup.run_sequence import ArmPlan, arm_plans
@@ -49,7 +50,6 @@ def register(subparsers: Any) -> None:
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
-
     folder = arguments.out or Path("out") / "simulate"
     room_for_results(folder, *FILES, f"{BAG}/*")
     scene, task, options = prepared(arguments)
@@ -67,7 +67,6 @@ def _simulate(arguments: argparse.Namespace) -> int:
 
     if not arguments.view:
         return delivered(RunLog)
-
     return _viewed(OfflineBag(folder / BAG, scene, task.name, plans, options.seed), folder, delivered)
 
 
@@ -85,8 +84,6 @@ def _run(scene: Scene, task: Task, options: OfflineOptions, plans: list[ArmPlan]
 
 def _viewed(bag: OfflineBag, folder: Path, delivered: Callable[[Log], int]) -> int:
     """Have a run be on a page, which shows its recording while it grows, and stays until Ctrl-C."""
-    from tactile_bringup.launching.page_process import served_page
-
     console, log = Console(stderr=True), folder / "view.log"
     with served_page(os.environ, log, bag.folder) as page:
         say(console, f"page: {page.address}, in a few seconds")
