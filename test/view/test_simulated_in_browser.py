@@ -21,7 +21,7 @@ def simulated(folder):
         "--scene",
         "ramp",
         "--fidelity",
-        "fitted",
+        "ideal",
         "--out",
         str(folder / "out"),
         "--view",
