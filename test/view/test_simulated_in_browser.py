@@ -48,7 +48,7 @@ def test_a_run_without_ros_is_on_the_page_and_stays_there_until_ctrl_c(tmp_path)
         assert wait(lambda: "still being written" not in viewer.text())
         viewer.page.get_by_role("tab", name="Phases").click()
         assert viewer.sees("phase: arm: done")
-        assert "contact_fraction" in said.read_text(), "the report is there although the page is open"
+        assert "contact kept" in said.read_text(), "the report is there although the page is open"
         process.send_signal(signal.SIGINT)
         assert process.wait(60.0) == 0
         assert (tmp_path / "out/report.html").exists()
