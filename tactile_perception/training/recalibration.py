@@ -66,9 +66,8 @@ def recalibrate(
         plain = CalibrationSettings()
         settings = settings.replaced(margin=plain.margin, floor=plain.floor)
     calibration = fit_on(estimator, samples, rows, settings.replaced(**(changes or {})))
-    model = metadata.contact_model
-    labels = samples.labels_for(model)
-    depth = metadata.plain_depth or PlainDepth.fit(samples.images, model.depths(labels))
+    told = metadata.contact_model
+    depth = metadata.plain_depth or PlainDepth.fit(samples.images, told.depths(samples.labels_for(told)))
     novelty = metadata.novelty or Novelty.fit(samples.images)
     changed = dataclasses.replace(metadata, calibration=calibration, plain_depth=depth, novelty=novelty)
     save_model(onnx.load(str(model)), out, changed)
