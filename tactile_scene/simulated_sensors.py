@@ -54,6 +54,9 @@ class MarkerSettings(Settings):
         51.8, lower=-360.0, upper=360.0, unit="deg", doc="of each ring's first marker about z of {s}"
     )
     pin_length: float = setting(0.002, unit="m", lower=0.0, upper=0.01, doc="from the skin to the marker")
+    worn: float = setting(
+        0.0, lower=0.0, upper=0.9, doc="part of the pins that are worn off, always the same ones"
+    )
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@
 - `points`: Coulomb's law at each of some points of support. They share the load as a pressure that is linear
   over them and has its centre where the moments say, so that those ahead carry more.
 - `polynomial`: sum of (load' A load)^2 = 1 over positive semidefinite A, as fitted to real pushes. Loads are
-  (f_x, f_y, m / length) over the friction in all, about its centre, in the body's axes; `length` is the foot's
-  radius of gyration.
+  (f_x, f_y, m / length) over the friction in all, about its centre, in the body's axes; `length` is the
+  radius of gyration of the foot.
 
 `planar_friction` has the same laws for many loads at once, without springs; each step of an object is in C
 (`_csrc/floor.c`).
@@ -50,12 +50,17 @@ def floor_model(name: str, foot: Foot, points: ArrayLike, polynomial: ArrayLike,
     return name, np.zeros((0, 2)), length
 
 
+def even_points(foot: Foot) -> Array:
+    """Points (n, 2) all over a foot: the middles of equal fields."""
+    low, high = foot.corners.min(axis=0), foot.corners.max(axis=0)
+    middles = low + (high - low) * ((np.arange(_FIELDS) + 0.5) / _FIELDS)[:, None]
+    grid = np.stack(np.meshgrid(*middles.T), axis=-1).reshape(-1, 2)
+    return np.array([point for point in grid if foot.inside(point) > 0.0])
+
+
 def _points(foot: Foot, given: Array, turn: Array) -> Array:
     if not len(given):
-        low, high = foot.corners.min(axis=0), foot.corners.max(axis=0)
-        middles = low + (high - low) * ((np.arange(_FIELDS) + 0.5) / _FIELDS)[:, None]
-        grid = np.stack(np.meshgrid(*middles.T), axis=-1).reshape(-1, 2)
-        return np.array([point for point in grid if foot.inside(point) > 0.0])
+        return even_points(foot)
     if len(given) % 2 or not 3 <= len(given) // 2 <= MOST_POINTS:
         raise SettingError(
             f"points: {len(given)} numbers, must be x and y of 3 to {MOST_POINTS} points one after the other"
@@ -63,7 +68,9 @@ def _points(foot: Foot, given: Array, turn: Array) -> Array:
     points = given.reshape(-1, 2) @ turn.T
     for point, own in zip(points, given.reshape(-1, 2), strict=True):
         if (beside := -foot.inside(point)) > _BESIDE:
-            raise SettingError(f"points: {own.tolist()} lies {1e3 * beside:.1f} mm beside what the body stands on")
+            raise SettingError(
+                f"points: {own.tolist()} lies {1e3 * beside:.1f} mm beside what the body stands on"
+            )
     return points
 
 

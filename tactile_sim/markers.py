@@ -29,6 +29,8 @@ class Markers:
 
     def __init__(self, settings: MarkerSettings, skin: Skin, radius: float, skin_thickness: float) -> None:
         directions = ring_directions(np.radians(settings.pitch_deg) * np.arange(settings.rings + 1))
+        if settings.worn > 0.0:
+            directions = directions[np.random.default_rng(0).random(len(directions)) >= settings.worn]
         azimuth = np.radians(settings.azimuth_deg)
         c, s = np.cos(azimuth), np.sin(azimuth)
         normals = directions @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -1,11 +1,12 @@
 """An object that stands on the floor z = 0 and is pushed over it by the tips of one or more arms.
 
 Quasi-static and planar: the friction of the floor carries the forces of the tips up to its limit surface, an
-ellipsoid (`limit_surface`) or what `floor_models` has in its place; beyond it the object moves along the surface's normal until the skins of the tips,
-which the motion relaxes, press no more than that. A tip's force is what its sensor measured at the last
-exposure (or the skin's curves say), carried on by the skin's stiffness as tip and object have moved since,
-at most to the friction of the skin. All of a step is solved at once, by Newton's method with the tangent of
-tips that slip; one in which no motion balances is an error (`ValueError`).
+ellipsoid (`limit_surface`) or what `floor_models` has in its place; beyond it the object moves along the
+surface's normal until the skins of the tips, which the motion relaxes, press no more than that. A tip's force
+is what its sensor measured at the last exposure (or the skin's curves say), carried on by the skin's
+stiffness as tip and object have moved since, at most to the friction of the skin. All of a step is solved at
+once, by Newton's method with the tangent of tips that slip; one in which no motion balances is an error
+(`ValueError`).
 
 The floor presses with the weight less what the tips lift, centred where the moments of weight and tips
 balance: pushed at a height h the pressure runs ahead of the centre of gravity by mu h. Its centre is that of
@@ -29,11 +30,12 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import SettingError, Settings, setting
+from tactile_base.settings import LARGEST_SEED, SettingError, Settings, setting
 from tactile_geometry import se3
 from tactile_scene.shapes.surface import Surface
 from tactile_sim._contact import PushedBody
-from tactile_sim.floor_models import MODELS, floor_model
+from tactile_sim.floor_field import FloorField, speed_factor
+from tactile_sim.floor_models import MODELS, even_points, floor_model
 from tactile_sim.held import GRAVITY
 from tactile_sim.limit_surface import Foot
 from tactile_sim.skin_force import SkinForces
@@ -47,6 +49,7 @@ Array = NDArray[np.float64]
 
 _FLAT = 1e-6  # m: points this near to the lowest carry the body
 _NEAR = 5e-4  # m: off the floor, or into another body, that is taken for rounding
+_SPEED_TIME = 0.1  # s, over which friction takes note of speed: at once, it would swing with the skin
 # A toppled object lies out of the tips' reach at once: the quasi-static skin could not push it aside.
 _BELOW = 0.5  # m
 
@@ -73,13 +76,24 @@ class PushedSettings(SkinForces):
         (0.0, 0.0), unit="m", lower=-0.1, upper=0.1, length=2,
         doc="of floor and foot, off the centre of pressure, along the world's x and y at the start",
     )  # fmt: skip
+    friction_field: float = setting(
+        0.0, lower=0.0, upper=1.0,
+        doc="standard deviation of friction over the floor, a smooth random field, as a part of it",
+    )  # fmt: skip
+    friction_field_length: float = setting(
+        0.05, unit="m", lower=1e-3, upper=10.0, doc="over which that field changes"
+    )
+    friction_field_seed: int = setting(0, lower=0, upper=LARGEST_SEED, doc="which of such floors it is")
+    friction_speed: float = setting(
+        0.0, lower=-0.5, upper=1.0, doc="part by which friction grows with each tenfold of a speed of 10 mm/s"
+    )
     model: str = setting(
         "ellipsoid", choices=MODELS,
         doc="of the floor's friction: an ellipsoid, Coulomb's law at points, or a convex polynomial",
     )  # fmt: skip
     points: tuple[float, ...] = setting(
         (), unit="m", lower=-1.0, upper=1.0,
-        doc="x, y of each point that it stands on, in the body, one after the other; empty: all over the foot",
+        doc="x, y of each point that it stands on, in the body, one by one; empty: all over the foot",
     )  # fmt: skip
     polynomial: tuple[float, ...] = setting(
         (), lower=-1e6, upper=1e6,
@@ -114,6 +128,11 @@ class Pushed:
                 self.foot = Foot.around(model[1])
         except SettingError as error:
             raise SettingError(f"body '{body.name}': {error}") from None
+        self._speed = 0.0  # m/s
+        self._field: FloorField | None = None
+        if s.friction_field > 0.0:
+            self._field = FloorField(s.friction_field, s.friction_field_length, s.friction_field_seed)
+            self._under = model[1] if s.model == "points" else even_points(self.foot)
         self._T_tool_sensor = {name: arm.T_tool_controlled for name, arm in scene.arms.items()}
         self._T = scene.T_world_body(body.name).copy()
         self._weight = s.mass * -GRAVITY[2]
@@ -159,6 +178,8 @@ class Pushed:
         if not self._tips and not self.tilt:
             self.state = PushedState.RESTING
             return self._T
+        if self._field or self.settings.friction_speed:
+            self._floor_below(dt)
         pushes = [part for arm, (_, tip) in self._tips.items() for part in (tools[arm], tip)]
         touches = self._body.step(*pushes)
         self.state = PushedState.SLIDING if self._body.moved > 0.0 else PushedState.RESTING
@@ -167,6 +188,19 @@ class Pushed:
         elif self._body.moved > 0.0:
             self._T = self._body.T_world_body
         return self._T
+
+    def _floor_below(self, dt: float) -> None:
+        """Friction of the floor where the object is, at the speed that it had of late."""
+        s, body = self.settings, self._body
+        friction, center = s.friction, np.array(s.center_of_friction)
+        if self._field:
+            R_turn = se3.exp([0.0, 0.0, 0.0, 0.0, 0.0, body.turn])[:2, :2]
+            factor, off = self._field.under(body.T_world_upright[:2, 3] + self._under @ R_turn.T)
+            friction, center = friction * factor, center + R_turn.T @ off
+        if s.friction_speed:
+            self._speed += min(dt / _SPEED_TIME, 1.0) * (body.moved / dt - self._speed)
+            friction *= speed_factor(self._speed, s.friction_speed)
+        body.set_floor(friction, center)
 
     def _tip(self, contact: BodyContact) -> tuple[int, bytes]:
         known = self._tips.get(contact.arm)

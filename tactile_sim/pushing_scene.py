@@ -39,7 +39,7 @@ _CLOSE = 1e-9  # m
 
 @dataclass(frozen=True)
 class PushVariation(Settings):
-    """What differs: the first four are drawn evenly from minus to plus. Assumed.
+    """What differs: frictions, centre, place and angle are drawn evenly from minus to plus. Assumed.
 
     Friction and its centre belong to an object on a floor, and are drawn for each `SET` of trials; where the
     object is put, for each trial. How far apart the two spreads are is read off the paper's deviations
@@ -51,6 +51,19 @@ class PushVariation(Settings):
         0.003, unit="m", lower=0.0, upper=0.05,
         doc="off the centre of pressure, along x and along y; of a set",
     )  # fmt: skip
+    push_friction: float = setting(
+        0.0, lower=0.0, upper=0.9, doc="of the floor on top of that, as a part of it; of a trial"
+    )
+    friction_field: float = setting(
+        0.0, lower=0.0, upper=1.0,
+        doc="standard deviation of friction over the floor, as a part of it; a field of a set",
+    )  # fmt: skip
+    friction_field_length: float = setting(
+        0.05, unit="m", lower=1e-3, upper=10.0, doc="over which that field changes"
+    )
+    friction_speed: float = setting(
+        0.0, lower=-0.5, upper=1.0, doc="part by which friction grows with each tenfold of the speed"
+    )
     placement: float = setting(
         0.0006, unit="m", lower=0.0, upper=0.1, doc="of the object, across the tip's axis; of a trial"
     )
@@ -94,12 +107,15 @@ def read_profiles(path: Path | None = None) -> PushedProfiles:
 
 
 def draw(name: str, floor: str, seed: int | None) -> Array:
-    """What a trial draws, (5,) in -1 to 1: friction, its centre's x and y, place, angle; 0 without a seed."""
+    """What a trial draws, (6,) in -1 to 1; 0 without a seed.
+
+    Friction, its centre's x and y, place, angle, and friction of the trial alone.
+    """
     if seed is None:
-        return np.zeros(5)
+        return np.zeros(6)
     row = zlib.crc32(f"{name}/{floor}".encode())
     of_set = np.random.default_rng([row, 0, seed // SET]).uniform(-1.0, 1.0, 3)
-    return np.concatenate([of_set, np.random.default_rng([row, 1, seed]).uniform(-1.0, 1.0, 2)])
+    return np.concatenate([of_set, np.random.default_rng([row, 1, seed]).uniform(-1.0, 1.0, 3)])
 
 
 def pushing_scene(
@@ -139,7 +155,11 @@ def pushing_scene(
     parameters = profile.settings("parameters", SHAPES.load(shape).settings_class)
     settings = {
         **{key: profile.values[key] for key in _PROFILE if key in profile.values},
-        "friction": known.floors[floor] * (1.0 + vary.friction * drawn[0]),
+        "friction": known.floors[floor]
+        * (1 + vary.friction * drawn[0])
+        * (1 + vary.push_friction * drawn[5]),
+        **{key: getattr(vary, key) for key in ("friction_field", "friction_field_length", "friction_speed")},
+        "friction_field_seed": 0 if seed is None else zlib.crc32(f"{name}/{floor}/{seed // SET}".encode()),
         "center_of_friction": tuple(vary.center_of_friction * drawn[1:3]),
     }
     new = replace(body, shape=shape, parameters=parameters, motion_settings=_motion_settings(body, settings))

@@ -12,8 +12,10 @@ from tactile_base.settings import SettingError, shown, unknown_name
 from tactile_bringup.offline import OfflineOptions
 from tactile_control.task_file import Task
 from tactile_filter.filter_settings import load_filter_settings
+from tactile_geometry import se3
 from tactile_scene.scene import Scene
-from tactile_scene.simulated_sensors import IdealSensorSettings
+from tactile_scene.simulated_sensors import IdealSensorSettings, TacTipSettings
+from tactile_scene.simulation import SimulatedSensor
 from tactile_sim.pushing_scene import MOTION, PushedProfiles, PushVariation, pushing_scene
 
 Value = float | str
@@ -122,18 +124,41 @@ def _variation(name: str, unit: float = 1.0) -> Callable[[Setup, float], Setup]:
 def _noise(setup: Setup, factor: float) -> Setup:
     if factor <= 0.0:
         raise SettingError(f"noise = {factor:g}: must be above 0, for the filter takes no certain estimate")
-    models = {name: sensor.model for name, sensor in setup.scene.simulation.sensors.items()}
-    sensors = {}
-    for name, model in models.items():
-        if type(model) is not IdealSensorSettings:
+
+    def change(name: str, sensor: SimulatedSensor) -> SimulatedSensor:
+        if type(sensor.model) is not IdealSensorSettings:
             raise SettingError("noise: can be set of fidelity 'ideal' alone; choose it with --fidelity ideal")
         scaled = {
-            key: tuple(factor * sigma for sigma in asdict(model)[key])
+            key: tuple(factor * sigma for sigma in asdict(sensor.model)[key])
             for key in ("sigma_position", "sigma_rotation")
         }
-        sensors[name] = setup.scene.simulation.sensors[name].changed("ideal", **scaled)
+        return sensor.changed("ideal", **scaled)
+
+    return _sensors(setup, change)
+
+
+def _sensors(setup: Setup, change: Callable[[str, SimulatedSensor], SimulatedSensor]) -> Setup:
+    """The setup with the sensor of each arm changed."""
+    sensors = {name: change(name, sensor) for name, sensor in setup.scene.simulation.sensors.items()}
     simulation = replace(setup.scene.simulation, sensors=sensors)
     return replace(setup, scene=replace(setup.scene, simulation=simulation))
+
+
+def _contact_angle(setup: Setup, degrees: float) -> Setup:
+    """The sensor of the arm that pushes stands turned in its tool, which nothing knows of."""
+    first = next(iter(setup.scene.arms.values()))
+    turn = se3.pose_from_euler([0, 0, 0, -np.radians(degrees), 0, 0])  # x points down
+    in_tool = tuple(map(float, se3.euler_from_pose(first.T_tool_controlled @ turn)))
+    return _sensors(setup, lambda name, old: replace(old, in_tool=in_tool) if name == first.name else old)
+
+
+def _pin_wear(setup: Setup, part: float) -> Setup:
+    def change(name: str, sensor: SimulatedSensor) -> SimulatedSensor:
+        if not isinstance(sensor.model, TacTipSettings):
+            raise SettingError("pin_wear: only images have pins; choose --fidelity input or image")
+        return replace(sensor, model=replace(sensor.model, markers=sensor.model.markers.replaced(worn=part)))
+
+    return _sensors(setup, change)
 
 
 def _rate(setup: Setup, rate: float) -> Setup:
@@ -167,6 +192,14 @@ VARIABLES = {
     "center_of_friction": Variable(
         "largest draw of the centre of friction [mm]", _variation("center_of_friction", 1e-3)
     ),
+    "push_friction": Variable(
+        "largest draw of friction from push to push, over it", _variation("push_friction")
+    ),
+    "friction_field": Variable("deviation of friction over the floor, over it", _variation("friction_field")),
+    "friction_field_length": Variable("length of that field [mm]", _variation("friction_field_length", 1e-3)),
+    "friction_speed": Variable("part of friction for each tenfold of speed", _variation("friction_speed")),
+    "contact_angle": Variable("sensor turned in its tool to the left [deg]", _contact_angle),
+    "pin_wear": Variable("part of the pins worn off", _pin_wear),
     "offset": Variable("object to the side at the start [mm]", _variation("offset", 1e-3)),
     "angle": Variable("object turned at the start [deg]", _variation("turn_deg")),
     "noise": Variable("noise of the sensor over the ideal sensor's", _noise),

@@ -62,6 +62,7 @@ class Result:
     friction : that the floor has in all, by the measured loads, N
     end_mm, end_deg : of the whole push predicted by the finger's way alone, at `CENTER`
     microseconds : a motion by its load, of many at once
+    polynomial : fitted to all pushes, as a scene's `polynomial` has it; of other models nothing
     """
 
     file: str
@@ -72,6 +73,7 @@ class Result:
     end_mm: Band
     end_deg: Band
     microseconds: float
+    polynomial: list[float]
 
 
 class _Trials:
@@ -123,7 +125,13 @@ class _Trials:
         return Result(
             self.file, name, len(self.pushes), Band.of(angle), Band.of(size), Band.of(1e3 * end),
             Band.of(np.degrees(turn)), 1e6 * float(spent.mean()),
+            self._polynomial() if name == "polynomial" else [],
         )  # fmt: skip
+
+    def _polynomial(self) -> list[float]:
+        fitted = self.model("polynomial", np.ones(len(self.pushes), bool))
+        assert isinstance(fitted, ConvexPolynomial)
+        return [float(number) for square in fitted.squares for number in square[np.triu_indices(3)]]
 
 
 def results_of_files(files: Sequence[Path]) -> list[Result]:

@@ -33,7 +33,8 @@ static void shares_of(double* share, const Floor* floor) {
   double det = m[0] * m[2] - m[1] * m[1];
   double slope[2] = {(m[2] * off[0] - m[1] * off[1]) / det, (m[0] * off[1] - m[1] * off[0]) / det};
   for (int i = 0; i < n; i++) {
-    double part = 1.0 / n + (p[2 * i] - middle[0]) * slope[0] + (p[2 * i + 1] - middle[1]) * slope[1];
+    double part =
+        1.0 / n + (p[2 * i] - middle[0]) * slope[0] + (p[2 * i + 1] - middle[1]) * slope[1];
     share[i] = fmax(part, 0);
     total += share[i];
   }
@@ -133,7 +134,9 @@ static double polynomial_off(double off[4], double slope[16], const double u[3],
     square += off[i] * off[i];
     for (int k = 0; k < 3; k++) {
       slope[4 * i + k] = i == k;
-      for (int j = 0; j < 3; j++) { slope[4 * i + k] += 0.25 * x * a[3 * i + j] * hessian[3 * j + k]; }
+      for (int j = 0; j < 3; j++) {
+        slope[4 * i + k] += 0.25 * x * a[3 * i + j] * hessian[3 * j + k];
+      }
     }
     slope[4 * i + 3] = pulled;
     slope[12 + i] = 4 * normal[i];

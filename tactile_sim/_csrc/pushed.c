@@ -200,8 +200,8 @@ static void push_after(double load[3], double center[2], const double motion[3],
 // the pushes that are left: the tips' forces linearized, the floor's law as it is. Where the tips
 // that slip would take it along without end, and with `stuck` at first, they are taken to stick.
 // Returns 0 where it did not get there.
-static int balance(double motion[3], double share, int stuck, const Start* start, Pushed* body, Touch* touch,
-                   const Tip* tip, const double* const* T_world_tool, int count) {
+static int balance(double motion[3], double share, int stuck, const Start* start, Pushed* body,
+                   Touch* touch, const Tip* tip, const double* const* T_world_tool, int count) {
   Floor floor = start->floor;
   double load[3], center[2], force = floor.force *= share, torque = floor.torque *= share;
   push_after(load, center, motion, start, body, touch, tip, T_world_tool, count);
@@ -237,7 +237,8 @@ static int slide(Pushed* body, Touch* touch, const Tip* tip, const double* const
   }
   double still[3] = {0}, step = 0.5;
   push_after(load, center, still, &start, body, touch, tip, T_world_tool, count);
-  double share = 2 * hypot(hypot(load[0], load[1]) / start.floor.force, load[2] / start.floor.torque);
+  double share =
+      2 * hypot(hypot(load[0], load[1]) / start.floor.force, load[2] / start.floor.torque);
   for (int stage = 0; stage < STAGES; stage++) {
     double next = fmax(1, share * step);
     memcpy(motion, still, sizeof(motion));

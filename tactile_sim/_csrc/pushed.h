@@ -21,7 +21,8 @@ typedef struct {
   int slips;
   double matter[3];  // the tip's, at the contact
   double stuck[3];   // the force if the tip did not slip
-  double shear[3];   // of a tip that slips, unit vector; what is left of its stiffness to turn it, N/m
+  double
+      shear[3];  // of a tip that slips, unit vector; what is left of its stiffness to turn it, N/m
   double turning;
 } Touch;
 

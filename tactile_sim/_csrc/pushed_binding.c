@@ -206,6 +206,28 @@ static PyObject* step(PyObject* self, PyObject* const* args, Py_ssize_t count) {
 }
 
 
+PyDoc_STRVAR(set_floor_doc,
+             "set_floor(friction, center_of_friction)\n--\n\n"
+             "The floor where the object is: friction over its foot and the centre, off that of "
+             "pressure (m).");
+
+static PyObject* set_floor(PyObject* self, PyObject* const* args, Py_ssize_t count) {
+  Pushed* body = &((PushedObject*)self)->body;
+  double center[2];
+  if (count != 2) {
+    return PyErr_Format(PyExc_TypeError, "set_floor takes 2 arguments, got %zd", count);
+  }
+  double friction = PyFloat_AsDouble(args[0]);
+  if (PyErr_Occurred() || !read_finite(center, args[1], 2, 0, "center_of_friction")) {
+    return NULL;
+  }
+  body->friction += friction - body->friction_foot;
+  body->friction_foot = friction;
+  memcpy(body->center_of_friction, center, sizeof(center));
+  Py_RETURN_NONE;
+}
+
+
 PyDoc_STRVAR(
     lean_doc,
     "lean(T_world_body, tilted, edge)\n--\n\n"
@@ -265,10 +287,7 @@ static PyGetSetDef properties[] = {
 #define METHOD(name) {#name, (PyCFunction)(void (*)(void))name, METH_FASTCALL, name##_doc}
 
 static PyMethodDef methods[] = {
-    METHOD(tip),
-    METHOD(step),
-    METHOD(lean),
-    {NULL, NULL, 0, NULL},
+    METHOD(tip), METHOD(step), METHOD(set_floor), METHOD(lean), {NULL, NULL, 0, NULL},
 };
 
 static PyTypeObject type = {
@@ -340,7 +359,8 @@ static PyObject* py_return_to_surface(PyObject* self, PyObject* const* args, Py_
   int found = floor_return(motion, left, load, stiffness, &floor);
   Py_DECREF(numbers);
   if (!found) {
-    return PyErr_Format(PyExc_ValueError, "the load exceeds friction where no spring holds the foot");
+    return PyErr_Format(PyExc_ValueError,
+                        "the load exceeds friction where no spring holds the foot");
   }
   return Py_BuildValue("NN", new_array(motion, 3, 0), new_array(left, 3, 0));
 }

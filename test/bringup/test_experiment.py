@@ -17,6 +17,7 @@ from tactile_bringup.experiments.pushing_results import (
     write_map,
 )
 from tactile_bringup.experiments.pushing_variations import VARIABLES, drawn
+from tactile_geometry import se3
 from tactile_sim.pushed import PushedSettings
 from tactile_sim.pushing_scene import draw
 
@@ -190,6 +191,32 @@ def test_noise_of_images_cannot_be_set():
     with pytest.raises(SettingError, match="fidelity 'ideal' alone"):
         check_trial(images)
     assert set(VARIABLES) >= {name for chosen in load_maps().values() for name in chosen.variables}
+
+
+def test_what_differs_between_floors_and_pushes_reaches_the_object():
+    fields = [("friction_field", 0.2), ("friction_field_length", 30.0), ("friction_speed", 0.1)]
+    assert [setting_of(trial(*fields), name) for name, _ in fields] == [0.2, 0.03, 0.1]
+    seeds = [setting_of(trial(*fields, number=n), "friction_field_seed") for n in (3, 4, 6)]
+    assert seeds[0] == seeds[1] != seeds[2]
+    one, other = (setting_of(trial(("push_friction", 0.2), number=n), "friction") for n in (3, 4))
+    assert one != other and setting_of(trial(number=3), "friction") == setting_of(trial(number=4), "friction")
+
+
+def test_a_contact_angle_turns_the_pushing_sensor_to_the_left_unknown_to_its_arm():
+    plain, turned = (setup_of(trial(*v)).scene for v in ((), (("contact_angle", 3.0),)))
+    assert turned.arms["leader"].T_tool_controlled == pytest.approx(plain.arms["leader"].T_tool_controlled)
+    T_tool_sensor = se3.pose_from_euler(turned.simulation.sensors["leader"].in_tool)
+    T_base_tool = turned.arms["leader"].T_world_start @ se3.inverse(turned.arms["leader"].T_tool_controlled)
+    ahead, said = (T_base_tool @ T_tool_sensor)[:2, 2], turned.arms["leader"].T_world_start[:2, 2]
+    assert np.degrees(np.arctan2(*(ahead @ [[-said[1], said[0]], [said[0], said[1]]]))) == pytest.approx(3.0)
+    assert not turned.simulation.sensors["follower"].in_tool
+
+
+def test_pins_wear_off_images_alone():
+    worn = Trial(Common("single", fidelity="input"), "blue_square", "mdf", 0, (("pin_wear", 0.2),))
+    assert setup_of(worn).scene.simulation.sensors["arm"].model.markers.worn == 0.2
+    with pytest.raises(SettingError, match="only images have pins; choose --fidelity input or image"):
+        check_trial(trial(("pin_wear", 0.2)))
 
 
 # ---- the command ----

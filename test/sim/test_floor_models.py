@@ -19,7 +19,7 @@ FORCE = 1.4  # N
 
 
 def springs(seed):
-    """Stiffness (3, 3) of soft ones all around and two tips, one of which slips, and loads that they bring, some within friction."""
+    """Stiffness (3, 3) of soft ones all around and two tips, one of which slips, and a load."""
     rng = np.random.default_rng(seed)
     K = 300.0 * np.diag([1.0, 1.0, LENGTH**2])
     for slip in (0.0, rng.uniform(-0.1, 0.1)):
@@ -138,7 +138,7 @@ def test_a_tip_that_sticks_turns_the_object_as_costs_the_least_power(tmp_path, m
     "settings, message",
     [
         ({"model": "points", "points": (0.0, 0.0, 0.01)}, "points: 3 numbers, must be x and y of 3 to 400"),
-        ({"model": "points", "points": (0.0, 0.0, 0.0, 0.06, 0.01, 0.0)}, r"\[0.0, 0.06\] lies 20.0 mm beside"),
+        ({"model": "points", "points": (0.0, 0.0, 0.0, 0.06, 0.01, 0.0)}, r"\[0.0, 0.06\] lies 20.0 mm"),
         ({"model": "polynomial"}, "polynomial: 0 numbers, must be six for each matrix"),
         ({"model": "polynomial", "polynomial": (1, 0, 0, -1, 0, 1)}, "must be positive semidefinite"),
         ({"model": "elipsoid"}, "model = 'elipsoid': must be one of ellipsoid, points, polynomial"),

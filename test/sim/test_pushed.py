@@ -223,5 +223,5 @@ def test_a_step_that_finds_no_balance_says_so():
     foot, level = Foot.around([[-0.04, -0.04], [0.04, -0.04], [0.04, 0.04], [-0.04, 0.04]]), np.eye(4)
     body = PushedBody(foot.numbers, foot.arm, level, [0.0, 0.0, 0.0], 4.7, 0.3, [0.0, 0.0], 0.0, 0.03, 0.9)
     tip = body.tip(level, level, [0.0, -0.04, 0.0], [0.0, -1.0, 0.0], [0.0, 2.0, 0.0], 0.0, 0.0)  # no spring
-    with pytest.raises(ValueError, match="no motion found .* balances its 1 tips; take shorter steps"):
+    with pytest.raises(ValueError, match=r"no motion found .* balances its 1 tips; take shorter steps"):
         body.step(level, tip)

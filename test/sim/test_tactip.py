@@ -7,7 +7,13 @@ import pytest
 from tactile_base.settings import SettingError
 from tactile_geometry import se3
 from tactile_scene.shapes import make_surface
-from tactile_scene.simulated_sensors import CameraSettings, ContactSettings, SkinSettings, TacTipSettings
+from tactile_scene.simulated_sensors import (
+    CameraSettings,
+    ContactSettings,
+    MarkerSettings,
+    SkinSettings,
+    TacTipSettings,
+)
 from tactile_sim.collection import press_then_shear
 from tactile_sim.skin import Skin, build_skin, load_skin
 from tactile_sim.tactip import TacTip
@@ -364,3 +370,10 @@ def test_more_sweeps_and_smaller_steps_change_little(skin, plane):
         press_then_shear(sensor, np.array([3e-3, -1e-3, 3.5e-3, 0.2, -0.1, 0.05]))
         markers.append(sensor.marker_positions)
     assert np.abs(markers[1] - markers[0]).max() < 3e-5
+
+
+def test_worn_pins_are_gone_and_the_others_where_they_were():
+    whole, worn = TacTip(), TacTip(TacTipSettings(markers=MarkerSettings(worn=0.2)))
+    here = {tuple(row) for row in whole.marker_positions.round(7)}
+    assert 0.7 * len(here) < len(worn.marker_positions) < 0.9 * len(here)
+    assert {tuple(row) for row in worn.marker_positions.round(7)} < here
