@@ -16,29 +16,26 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
 
-from tactile_control.phases import StampedPose
+from tactile_control.phases import Command, StampedPose
 
 
-class Word(Protocol):
-    """What an arm's task says of itself to those who work together with it."""
+@dataclass(frozen=True)
+class Word:
+    """What an arm's task says of itself to those who work together with it, as a `Command` has it.
 
-    @property
-    def over(self) -> bool:
-        """Whether it has no goal, or its goal has come to its end."""
+    Attributes
+    ----------
+    over : whether it has no goal, or its goal has come to its end
+    at_work : whether it has come to its own phase, and is not over
+    trouble : why it does not go on with what it is for, whatever others do; '' where it does
+    hold : where it holds the object, in the world (`Command.hold`); None: not known
+    """
 
-    @property
-    def at_work(self) -> bool:
-        """Whether it has come to its own phase, and is not over."""
-
-    @property
-    def trouble(self) -> str:
-        """Why it does not go on with what it is for, whatever others do; '' where it does."""
-
-    @property
-    def hold(self) -> StampedPose | None:
-        """Where it holds the object, in the world (`Command.hold`); None: not known."""
+    over: bool
+    at_work: bool
+    trouble: str
+    hold: StampedPose | None = None
 
 
 @dataclass
@@ -47,10 +44,10 @@ class _Partner:
 
     awaited: bool
     monitored: bool
-    word: Word | None = None
+    word: Word | Command | None = None
     heard: float = -math.inf
 
-    def hear(self, now: float, word: Word) -> None:
+    def hear(self, now: float, word: Word | Command) -> None:
         self.word, self.heard = word, now
         if not self.awaited:  # one that has failed goes on to count
             self.monitored = word.at_work or (self.monitored and bool(word.trouble))
@@ -94,7 +91,7 @@ class Partners:
         for partner in self._partners.values():
             partner.monitored = partner.awaited
 
-    def hear(self, arm: str, now: float, word: Word) -> None:
+    def hear(self, arm: str, now: float, word: Word | Command) -> None:
         """Take what an arm says now (s); it is of no concern unless it is one of `arms`."""
         if arm in self._partners:
             self._partners[arm].hear(now, word)

@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from tactile_base import topics
 from tactile_base.stamps import SECOND_NS
-from tactile_control.partners import Partners
+from tactile_control.partners import Partners, Word
 from tactile_control.phases import DONE, FAILED, StampedPose
 from tactile_geometry import se3
 from tactile_msgs.msg import ControllerStatus
@@ -96,16 +96,6 @@ class _Complaint:
     since_s: float
 
 
-@dataclass(frozen=True)
-class StatusWord:
-    """What a controller's status says to its partners (`tactile_control.partners.Word`)."""
-
-    over: bool
-    at_work: bool
-    trouble: str
-    hold: StampedPose | None = None
-
-
 def listen_to_partners(node: ManagedNode, partners: Partners) -> None:
     """Have partners hear what the controller of each says in its status, by the steady clock."""
     read = MessageReader(topics.CONTROLLER_STATUS.type)
@@ -119,7 +109,7 @@ def listen_to_partners(node: ManagedNode, partners: Partners) -> None:
         stamp_ns, place = seconds * SECOND_NS + nanoseconds, None
         if stamp_ns and all(map(math.isfinite, hold)):
             place = StampedPose(stamp_ns, se3.exp(hold))
-        partners.hear(arm, time.monotonic(), StatusWord(over, at_work, layout.texts["trouble"], place))
+        partners.hear(arm, time.monotonic(), Word(over, at_work, layout.texts["trouble"], place))
 
     for arm in partners.arms:
         topic = topics.CONTROLLER_STATUS.of(arm).name

@@ -73,12 +73,6 @@ def pose_from_matrix(T: Array) -> Pose:
     return Pose(position=Point(x=x, y=y, z=z), orientation=_quaternion(q))
 
 
-def matrix_from_transform(transform: Transform) -> Array:
-    """T_parent_child (4, 4) of a Transform message."""
-    p, q = transform.translation, transform.rotation
-    return pose_from_numbers((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
-
-
 def transform_stamped(stamp_ns: int, parent: str, child: str, T_parent_child: Array) -> TransformStamped:
     """TransformStamped message of T_parent_child (4, 4)."""
     x, y, z, *q = numbers_from_pose(T_parent_child).tolist()

@@ -62,8 +62,7 @@ class Diagnostics:
     """
 
     def __init__(self, name: str, hardware_id: str) -> None:
-        self._name = name
-        self._hardware_id = hardware_id
+        self._name, self._hardware_id = name, hardware_id
         self.counters: Counter[str] = Counter()
         self.values: dict[str, str] = {}
         self.inputs: dict[str, InputWatch] = {}
@@ -98,15 +97,9 @@ class Diagnostics:
         self._reported = self._subjects(active)
         complaints = list(self._complaints.values()) + (self.silent_inputs() if active else [])
         self._complaints.clear()
-        level = ERROR if self.fault else WARN if complaints else OK
-        text = self.fault or "; ".join(complaints) or state
-        status = DiagnosticStatus(
-            level=level,
-            name=self._name,
-            hardware_id=self._hardware_id,
-            message=text,
-            values=self._values(state),
-        )
+        status = DiagnosticStatus(name=self._name, hardware_id=self._hardware_id, values=self._values(state))
+        status.level = ERROR if self.fault else WARN if complaints else OK
+        status.message = self.fault or "; ".join(complaints) or state
         array = DiagnosticArray(status=[status])
         array.header.stamp = stamp
         return array

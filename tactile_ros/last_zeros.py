@@ -61,12 +61,9 @@ class LastZeros:
 
     def _start(self) -> None:
         # a session of its own: what ends the node's whole group leaves it the time to send zeros
+        command, variables, pipe = self._command, self._variables, subprocess.PIPE
         self._process = subprocess.Popen(
-            self._command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=self._variables,
-            start_new_session=True,
+            command, stdin=pipe, stdout=pipe, env=variables, start_new_session=True
         )
         assert self._process.stdin is not None and self._process.stdout is not None
         os.set_blocking(self._process.stdin.fileno(), False)

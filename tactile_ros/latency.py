@@ -21,9 +21,7 @@ class LatencyPublisher:
         self, node: ManagedNode, stage: str, frame_id: str, topic: str = topics.LATENCY.name
     ) -> None:
         self._publisher = node.publisher(StageLatency, topic, LATENCY)
-        self._node = node
-        self._stage = stage
-        self._frame_id = frame_id
+        self._node, self._stage, self._frame_id = node, stage, frame_id
         self._noted: list[tuple[int, int, int, int]] = []
         node.timer(LATENCY_PERIOD, self._publish)
 
@@ -40,13 +38,7 @@ class LatencyPublisher:
         self._node.report.values[f"{self._stage}: age of outputs, median and largest (ms)"] = (
             f"{ages[len(ages) // 2] * 1e-6:.1f} {ages[-1] * 1e-6:.1f}"
         )
-        self._publisher.publish(
-            StageLatency(
-                header=header(self._node.now_ns(), self._frame_id),
-                stage=self._stage,
-                exposed=[time_from_ns(stamp_ns) for stamp_ns in exposed],
-                received=[time_from_ns(stamp_ns) for stamp_ns in received],
-                emitted=[time_from_ns(stamp_ns) for stamp_ns in emitted],
-                dropped=dropped,
-            )
-        )
+        times = {"exposed": exposed, "received": received, "emitted": emitted}
+        stamped = {name: list(map(time_from_ns, stamps)) for name, stamps in times.items()}
+        head = header(self._node.now_ns(), self._frame_id)
+        self._publisher.publish(StageLatency(header=head, stage=self._stage, dropped=dropped, **stamped))

@@ -53,7 +53,6 @@ from tactile_wire.packing import LONGEST_SAID
 Result = TransitionCallbackReturn
 
 COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service")
-DIAGNOSTIC_PERIOD = 1.0  # s
 NEWS_PERIOD = 0.2  # s, within which others, as a task that fails for it, know what is wrong
 CONTROLLED_FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
 LARGEST_PRIORITY = 99  # of SCHED_FIFO
@@ -101,12 +100,8 @@ class ManagedNode(LifecycleNode):
         super().__init__(name, **kwargs)
         self.autostart = declare_read_only(self, "autostart", True, "configure and activate when started")
         namespace = self.get_namespace().strip("/")
-        self.arm = declare_read_only(
-            self,
-            "arm",
-            namespace.rsplit("/", 1)[-1] or "arm",
-            "name of the arm, first part of its frames' names",
-        )
+        named = namespace.rsplit("/", 1)[-1] or "arm"
+        self.arm = declare_read_only(self, "arm", named, "name of the arm, first part of its frames' names")
         self.priority = declare_read_only(
             self, "priority", 0, "SCHED_FIFO priority 1..99 of the process, and locked memory; 0: neither"
         )
@@ -133,9 +128,8 @@ class ManagedNode(LifecycleNode):
             DiagnosticArray, topics.DIAGNOSTICS.name, writer_profile(DIAGNOSTICS)
         )
         self.stamps = SettingsParameters(self, StampSettings(), prefix="stamps")
-        period = declare_read_only(
-            self, "diagnostics_period", DIAGNOSTIC_PERIOD, "seconds between two reports on /diagnostics"
-        )
+        about = "seconds between two reports on /diagnostics"
+        period = declare_read_only(self, "diagnostics_period", 1.0, about)
         self._diagnostics_timer = self.create_timer(period, self.publish_diagnostics, clock=self.steady)
         self._news_timer = self.create_timer(NEWS_PERIOD, self._report_news, clock=self.steady)
 

@@ -68,10 +68,6 @@ class HeadedReader:
         found = cdr.blank_layout(self._name).place(name)
         return slice(found.start - STAMP_NUMBERS, found.stop - STAMP_NUMBERS)
 
-    def index(self, name: str) -> int:
-        """Index among the numbers behind the header of a field that is one number."""
-        return self.place(name).start
-
 
 def header_of(data: bytes) -> tuple[int, str]:
     """Stamp (ns) and frame of any message that starts with a header; raises `MessageError`."""
@@ -223,4 +219,4 @@ _read_head = cdr.MessageReader(IMAGE, before=PIXELS)
 
 read_state = HeadedReader(ContactState)
 """Stamp (ns), frame and numbers; xi and flags among them are at `STATE_XI` and `STATE_FLAGS`."""
-STATE_XI, STATE_FLAGS = read_state.place("xi"), read_state.index("flags")
+STATE_XI, STATE_FLAGS = read_state.place("xi"), read_state.place("flags").start

@@ -38,8 +38,6 @@ class SettingsParameters(Generic[S]):
         Called with the new settings after a change at runtime was accepted.
     read_only : collection of str
         Fields that cannot change while the node runs.
-    check : callable, optional
-        Refuses settings by raising `SettingError` where more than ranges has to hold.
 
     Raises
     ------
@@ -55,11 +53,9 @@ class SettingsParameters(Generic[S]):
         prefix: str = "",
         on_change: Callable[[S], None] | None = None,
         read_only: Collection[str] = (),
-        check: Callable[[S], None] | None = None,
     ) -> None:
         self._prefix = f"{prefix}." if prefix else ""
         self._on_change = on_change
-        self._check = check
         self._names = {self._prefix + field.name: field.name for field in dataclasses.fields(defaults)}
         initial = {
             field.name: _declare(
@@ -69,15 +65,10 @@ class SettingsParameters(Generic[S]):
         }
         try:
             self.value: S = defaults.replaced(**initial)
-            self._check_whole(self.value)
         except SettingError as error:
             raise SettingError(f"parameter {self._prefix}{error}") from error
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
-
-    def _check_whole(self, value: S) -> None:
-        if self._check is not None:
-            self._check(value)
 
     def _changed(self, parameters: Sequence[Parameter[Any]]) -> S | None:
         """The settings with these parameters in them; None where none of them is ours."""
@@ -86,9 +77,7 @@ class SettingsParameters(Generic[S]):
 
     def _validate(self, parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
         try:
-            value = self._changed(parameters)
-            if value is not None:
-                self._check_whole(value)
+            self._changed(parameters)
         except SettingError as error:
             return SetParametersResult(successful=False, reason=f"{self._prefix}{error}")
         return SetParametersResult(successful=True)
@@ -206,21 +195,16 @@ def _declare(
 
 def _declared_value(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
     """Declare, and say in plain words what was wrong with a value that was given at start."""
-    parameter_type = _parameter_type(default)
-    descriptor.type = parameter_type.value
+    empty = isinstance(default, list) and not default  # which tells no type, and stands for numbers
+    kind = Parameter.Type.DOUBLE_ARRAY if empty else Parameter.Type.from_parameter_value(default)
+    descriptor.type = kind.value
     try:
         value = node.declare_parameter(name, default, descriptor).value
     except InvalidParameterTypeException as error:
-        raise SettingError(f"parameter {name}: must be of type {parameter_type.name}: {error}") from error
+        raise SettingError(f"parameter {name}: must be of type {kind.name}: {error}") from error
     except InvalidParameterValueException as error:
         raise SettingError(f"parameter {name}: {error}") from error
     return _plain(value)
-
-
-def _parameter_type(default: Any) -> Parameter.Type:
-    """Of a default; an empty list tells no type, and stands for numbers."""
-    empty = isinstance(default, list) and not default
-    return Parameter.Type.DOUBLE_ARRAY if empty else Parameter.Type.from_parameter_value(default)
 
 
 def _plain(value: Any) -> Any:

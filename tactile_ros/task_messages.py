@@ -39,8 +39,7 @@ def named_goal(message: RunTask.Goal, task_type: TaskType) -> NamedGoal:
     SettingError
         Saying what is wrong with it, and what would be right.
     """
-    if len(message.name) > LONGEST_NAME:
-        found = len(message.name)
+    if (found := len(message.name)) > LONGEST_NAME:
         raise SettingError(f"name: has {found} characters, must have no more than {LONGEST_NAME}")
     goal: Goal = task_type.goal_class.from_mapping(values_of(message.goal, "goal"), "goal")
     try:
@@ -65,11 +64,5 @@ def feedback_message(command: Command, X_fs: Array | None) -> RunTask.Feedback:
     depth, normal_error = math.nan, math.nan
     if X_fs is not None:
         depth, normal_error = float(X_fs[2, 3]), math.acos(max(-1.0, min(1.0, float(X_fs[2, 2]))))
-    return RunTask.Feedback(
-        phase=command.phase,
-        reason=command.reason,
-        progress=command.progress,
-        path_length=command.travelled,
-        depth=depth,
-        normal_error=normal_error,
-    )
+    said = {"phase": command.phase, "reason": command.reason, "progress": command.progress}
+    return RunTask.Feedback(**said, path_length=command.travelled, depth=depth, normal_error=normal_error)

@@ -26,9 +26,10 @@ from rclpy.duration import Duration
 
 from tactile_base import topics
 from tactile_base.raised import told
-from tactile_base.settings import SettingError, unknown_name
+from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_control.phase_machine import PhaseMachine
+from tactile_control.phases import Command
 from tactile_geometry.transform_buffer import MotionLimits, TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmCommand, ArmStatus, ControllerStatus
@@ -37,7 +38,7 @@ from tactile_ros.colleagues import Upstream
 from tactile_ros.conversions import duration_from_ns
 from tactile_ros.managed_node import CONTROLLED_FRAMES, LARGEST, ManagedNode
 from tactile_ros.message_bytes import headed_bytes
-from tactile_ros.parameters import declare_read_only, fixed_settings
+from tactile_ros.parameters import SettingsParameters, declare_read_only, fixed_settings
 from tactile_ros.qos import COMMAND, STATE, writer_profile
 from tactile_ros.transforms import TransformListener
 
@@ -64,23 +65,39 @@ class Run:
         return due
 
 
+@dataclass(frozen=True)
+class ControllerTimingSettings(Settings):
+    """When the controller acts without being asked by a belief."""
+
+    watchdog_period: float = setting(
+        0.02, lower=0.001, upper=0.05, unit="s", doc="a step is made at least this often"
+    )
+    idle_period: float = setting(
+        0.1, lower=0.01, upper=1.0, unit="s", doc="without a task a zero twist is sent this often"
+    )
+    feedback_period: float = setting(
+        0.1, lower=0.01, upper=10.0, unit="s", doc="the action's feedback is sent this often"
+    )
+    partner_age: float = setting(
+        0.2, lower=0.03, upper=10.0, unit="s",
+        doc="the task rests when the controller of a partner at work has said nothing for this long",
+    )  # fmt: skip
+
+
 class TaskNode(ManagedNode, ABC):
-    """Base of nodes that run tasks; fill in `objection`, `accept`, `step`, `travelled` and `periods`."""
+    """Base of nodes that run tasks; fill in `objection`, `accept` and `step`."""
 
     patience: ClassVar[float] = 5.0
     run: Run | None = None
+    last: Command | None = None  # of the goal that runs, or ran last
     last_step_ns = 0
     ending = ""  # why the node is about to end
     _concluded = -math.inf  # on the steady clock
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
-        frame = declare_read_only(
-            self,
-            "controlled_frame",
-            "tactile_sensor",
-            f"frame of the twists, one of {', '.join(CONTROLLED_FRAMES)}",
-        )
+        doc = f"frame of the twists, one of {', '.join(CONTROLLED_FRAMES)}"
+        frame = declare_read_only(self, "controlled_frame", CONTROLLED_FRAMES[0], doc)
         if frame not in CONTROLLED_FRAMES:
             raise SettingError(f"parameter controlled_frame: {unknown_name(frame, CONTROLLED_FRAMES)}")
         self.controlled_frame = self.frame_of(frame)
@@ -88,6 +105,9 @@ class TaskNode(ManagedNode, ABC):
         self._session, self._sent = secrets.randbits(63) + 1, 0
         self.attention = ArmAttention(self.source)
         self.limits = fixed_settings(self, MotionLimits(), "transforms")
+        self.timing = SettingsParameters(
+            self, ControllerTimingSettings(), prefix="timing", read_only=("watchdog_period", "partner_age")
+        )
 
     # What a node fills in.
 
@@ -103,21 +123,13 @@ class TaskNode(ManagedNode, ABC):
     def step(self) -> None:
         """One step of what runs, or a zero twist; sets `last_step_ns`."""
 
-    @abstractmethod
-    def travelled(self) -> float:
-        """Path length (m) that the result of the goal under way is to tell."""
-
-    @abstractmethod
-    def periods(self) -> tuple[float, float]:
-        """The longest times (s) between two steps, with a goal and without."""
-
     def forget(self) -> None:
         """Forget inputs; called when the clock jumps back."""
 
     # What a node uses.
 
-    def open_task(self, tick_period: float, on_transform: Callable[[], None] | None = None) -> None:
-        """Create publishers, the action, and a timer of that period (s) that steps if nothing else has."""
+    def open_task(self, on_transform: Callable[[], None] | None = None) -> None:
+        """Create publishers, the action, and a timer that steps if nothing else has."""
         self.upstream = Upstream(self)
         self.twist_out = self.publisher(ArmCommand, topics.COMMAND.name, COMMAND)
         self.status_out = self.publisher(ControllerStatus, topics.CONTROLLER_STATUS.name, STATE)
@@ -129,7 +141,7 @@ class TaskNode(ManagedNode, ABC):
             frames=[(self.base_frame, self.controlled_frame), (self.base_frame, self.sensor_frame)],
             limits=self.limits,
         )
-        self.timer(tick_period, self._tick)
+        self.timer(self.timing.value.watchdog_period, self._tick)
         action = ActionServer(
             self,
             RunTask,
@@ -167,13 +179,10 @@ class TaskNode(ManagedNode, ABC):
     def finish_run(self, reason: str, succeeded: bool) -> None:
         """End the run with the state that its goal is to have; override it to end more."""
         assert self.run is not None
-        result = RunTask.Result(
-            success=succeeded,
-            reason=reason,
-            path_length=self.travelled(),
-            duration=duration_from_ns(self.now_ns() - self.run.started_ns),
-        )
         run, self.run = self.run, None
+        result = RunTask.Result(success=succeeded, reason=reason)
+        result.path_length = self.last.travelled if self.last else 0.0
+        result.duration = duration_from_ns(self.now_ns() - run.started_ns)
         self._concluded = time.monotonic()
         conclude(run.handle, result)
 
@@ -184,16 +193,11 @@ class TaskNode(ManagedNode, ABC):
         self.send_twist(ZERO)
         self.twist_out.wait_for_all_acked(Duration(seconds=LAST_WORD))
 
-    @property
-    def arm_trouble(self) -> str:
-        """Why the arm does not follow; '' if it does, as far as is known."""
-        return self.attention.trouble
-
     def _on_arm(self, status: ArmStatus) -> None:
         """Fail what runs as soon as the arm does not follow it any more; a new goal has to be asked for."""
         self.attention.see(status, commands=self.run is not None)
-        if self.run is not None and self.arm_trouble:
-            self.run.task.abort(self.arm_trouble)
+        if self.run is not None and self.attention.trouble:
+            self.run.task.abort(self.attention.trouble)
             self.step()
 
     def prepare_to_end(self, reason: str) -> None:
@@ -229,8 +233,8 @@ class TaskNode(ManagedNode, ABC):
         if self.run is not None and silence:
             self.run.task.abort(silence)
             self.step()
-        running, idle = self.periods()
-        period = running if self.run is not None else idle
+        timing = self.timing.value
+        period = timing.watchdog_period if self.run is not None else timing.idle_period
         if self.now_ns() - self.last_step_ns > 0.75 * period * SECOND_NS:
             self.step()
 
@@ -255,7 +259,7 @@ class TaskNode(ManagedNode, ABC):
     def _refusal(self, goal: RunTask.Goal) -> str:
         if not self.active:
             return f"the {self.get_name()} is not active"
-        return self.ending or self.arm_trouble or self.objection(goal)
+        return self.ending or self.attention.trouble or self.objection(goal)
 
     def _cancel(self, handle: Any) -> CancelResponse:
         if self.run is None or handle.goal_id != self.run.handle.goal_id:

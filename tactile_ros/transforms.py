@@ -64,9 +64,7 @@ class TransformListener:
         frames: Sequence[tuple[str, str]] = (),
         limits: MotionLimits | None = None,
     ) -> None:
-        self._node = node
-        self._on_update = on_update
-        self._on_jump = on_jump
+        self._node, self._on_update, self._on_jump = node, on_update, on_jump
         self._ignore = frozenset(ignore)
         self._buffer = TransformBuffer(jump_ns=JUMP_NS, limits=limits, frames=frames)
         receive_static = functools.partial(self._receive, static=True)
@@ -122,8 +120,7 @@ class FramePublisher:
     """
 
     def __init__(self, node: ManagedNode, parent: str, child: str, rate: Callable[[], float]) -> None:
-        self._frames = parent, child
-        self._rate = rate
+        self._frames, self._rate = (parent, child), rate
         self._out = node.publisher(TFMessage, topics.TF.name, TF)
         self.clear()
 
@@ -182,12 +179,8 @@ class TransformGate:
         deliver: Callable[[Event, Array], None],
         drop: Callable[[Event, str], None],
     ) -> None:
-        self._join = join
-        self._transforms = transforms
-        self._frames = frames
-        self._timeout = timeout
-        self._deliver = deliver
-        self._drop = drop
+        self._join, self._transforms, self._frames = join, transforms, frames
+        self._timeout, self._deliver, self._drop = timeout, deliver, drop
         node.timer(0.01, self.pump)
 
     def pump(self) -> None:

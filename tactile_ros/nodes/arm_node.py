@@ -104,9 +104,8 @@ class ArmNode(ManagedNode):
 
     def __init__(self, hosted: ArmScene | None = None, **kwargs: Any) -> None:
         super().__init__("arm", **kwargs)
-        self.settings = SettingsParameters(
-            self, ArmNodeSettings(), read_only=("scene", "status_rate", "rehearse", "feels")
-        )
+        fixed = ("scene", "status_rate", "rehearse", "feels")
+        self.settings = SettingsParameters(self, ArmNodeSettings(), read_only=fixed)
         self.bounds = fixed_settings(self, ContactBounds(), "bounds")
         self.hosted, self.whose = hosted, ""
         self.estop = ""  # why; it outlives a deactivation
@@ -143,9 +142,8 @@ class ArmNode(ManagedNode):
         self.serve(Trigger, "arm/estop", self._serve_estop)
         self.serve(Trigger, "arm/reset", self._serve_reset)
         if scene.sensor is not None:
-            self.subscribe(
-                ContactState, topics.STATE.name, self._take_contact, STATE, raw=True, frame=self.frame
-            )
+            take = self._take_contact
+            self.subscribe(ContactState, topics.STATE.name, take, STATE, raw=True, frame=self.frame)
         self._forget()
         self._open_stop_line()
         if cell is not None:
@@ -211,9 +209,8 @@ class ArmNode(ManagedNode):
         if settings.rehearse:
             DOUBLES.load(arm.driver).wait(arm, DOUBLE_STARTS)
         if arm.driver == SIM:
-            raise ConfigurationError(
-                f"{cell.path}: arm '{arm.name}' is moved by the simulated cell (sim_node)"
-            )
+            whose = f"arm '{arm.name}' is moved by the simulated cell (sim_node)"
+            raise ConfigurationError(f"{cell.path}: {whose}")
         return arm, cell
 
     def _forget(self) -> None:

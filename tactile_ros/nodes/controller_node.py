@@ -13,7 +13,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,10 +22,8 @@ from numpy.typing import NDArray
 
 from tactile_base import topics
 from tactile_base.raised import told
-from tactile_base.settings import SettingError, Settings, setting, unknown_name
+from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
-from tactile_base.topics import STATE as STATE_TOPIC
-from tactile_base.topics import WORLD
 from tactile_control.partners import Partners
 from tactile_control.phases import FAILED, Command, StampedPose, StampedPresence, TaskInputs
 from tactile_control.task_step import task_step
@@ -41,7 +39,7 @@ from tactile_ros.image_input import ImageTopicSettings, PosedImages, subscribe_i
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import lost_counter
 from tactile_ros.message_bytes import STATE_FLAGS, STATE_XI, read_state
-from tactile_ros.parameters import GroupParameters, SettingsParameters, declare_read_only, fixed_settings
+from tactile_ros.parameters import GroupParameters, declare_read_only, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
 from tactile_ros.task_messages import feedback_message, named_goal, path_message, with_settings
@@ -52,25 +50,6 @@ from tactile_wire.errors import MessageError
 PATH_PERIOD = 0.5  # s, between two times that it is told where the task leads
 
 
-@dataclass(frozen=True)
-class ControllerTimingSettings(Settings):
-    """When the controller acts without being asked by a belief."""
-
-    watchdog_period: float = setting(
-        0.02, lower=0.001, upper=0.05, unit="s", doc="a step is made at least this often"
-    )
-    idle_period: float = setting(
-        0.1, lower=0.01, upper=1.0, unit="s", doc="without a task a zero twist is sent this often"
-    )
-    feedback_period: float = setting(
-        0.1, lower=0.01, upper=10.0, unit="s", doc="the action's feedback is sent this often"
-    )
-    partner_age: float = setting(
-        0.2, lower=0.03, upper=10.0, unit="s",
-        doc="the task rests when the controller of a partner at work has said nothing for this long",
-    )  # fmt: skip
-
-
 class ControllerNode(TaskNode):
     """See the module's text; the arithmetic is in the tasks of `tactile_control`."""
 
@@ -78,9 +57,6 @@ class ControllerNode(TaskNode):
         super().__init__("controller")
         self.task = declare_read_only(self, "task_name", "surface_following", "the kind of task that it runs")
         self.task_type = TASKS.load(self.task)
-        self.timing = SettingsParameters(
-            self, ControllerTimingSettings(), prefix="timing", read_only=("watchdog_period", "partner_age")
-        )
         self.partners = Partners(
             self._arms("awaited", "arms that the task waits for: it rests when one of them does not go on"),
             self._arms("waiting", "arms that wait for the task: the same, once they are at work"),
@@ -93,7 +69,6 @@ class ControllerNode(TaskNode):
         if self.task_type.needs_images:
             self.image_topic = fixed_settings(self, ImageTopicSettings(), "images")
             self.images = PosedImages(self, self.step)
-        self.last: Command | None = None
         self.goals = self.path_ns = 0
         self.goal_name = ""
         self.forget()
@@ -115,7 +90,7 @@ class ControllerNode(TaskNode):
             self.latency = LatencyPublisher(self, "controller", self.controlled_frame)
             self.subscribe(
                 ContactState,
-                STATE_TOPIC.name,
+                topics.STATE.name,
                 self._take_state,
                 STATE,
                 age,
@@ -124,7 +99,7 @@ class ControllerNode(TaskNode):
             )
         listen_to_partners(self, self.partners)
         self.path_out = self.publisher(PoseArray, topics.PATH.name, STATE)
-        self.open_task(self.timing.value.watchdog_period, self.images.match if self.images else None)
+        self.open_task(self.images.match if self.images else None)
         if self.images is not None:
             self.images.transforms = self.transforms
 
@@ -157,7 +132,7 @@ class ControllerNode(TaskNode):
         if not flags & (ContactState.INVALID | ContactState.PREDICTED_ONLY):  # as `Belief.measured`
             self._take_belief(stamp_ns, np.array(xi))
         self.step()
-        lost = self.counters[lost_counter(STATE_TOPIC.name)]
+        lost = self.counters[lost_counter(topics.STATE.name)]
         self.latency.note(stamp_ns, received_ns, self.last_step_ns, lost)
 
     def _take_belief(self, stamp_ns: int, xi: NDArray[np.float64]) -> None:
@@ -169,10 +144,6 @@ class ControllerNode(TaskNode):
             self.warn("belief", f"contact/state refused: {error}")
 
     # ---- steps ----
-
-    def periods(self) -> tuple[float, float]:
-        """See `TaskNode`."""
-        return self.timing.value.watchdog_period, self.timing.value.idle_period
 
     def step(self) -> None:
         """One step of the goal under way, or a zero twist."""
@@ -202,13 +173,9 @@ class ControllerNode(TaskNode):
     def _place(self) -> NDArray[np.float64] | None:
         """Where the base stands in the world; None where nobody says so."""
         try:
-            return self.transforms.lookup(WORLD, self.base_frame, 0)
+            return self.transforms.lookup(topics.WORLD, self.base_frame, 0)
         except TransformUnavailable:
             return None
-
-    def travelled(self) -> float:
-        """See `TaskNode`."""
-        return self.last.travelled if self.last else 0.0
 
     def _after(self, now_ns: int, command: Command) -> None:
         """Feedback, complaints, and the end of the run."""
@@ -236,11 +203,9 @@ class ControllerNode(TaskNode):
 
     def _publish_status(self, now_ns: int, command: Command | None, twist: NDArray[np.float64]) -> None:
         goal = max(self.goals - 1, 0), self.goal_name
-        belief_ns = self.belief.stamp_ns if self.belief else 0
-        frame, running = self.controlled_frame, self.run is not None
-        self.status_out.publish(
-            status_bytes(now_ns, frame, self.task, goal, command, twist, running, belief_ns)
-        )
+        belief_ns, running = self.belief.stamp_ns if self.belief else 0, self.run is not None
+        said = self.controlled_frame, self.task, goal, command, twist, running, belief_ns
+        self.status_out.publish(status_bytes(now_ns, *said))
 
     # ---- parameters ----
 

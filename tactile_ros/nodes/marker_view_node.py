@@ -74,8 +74,9 @@ class MarkerViewNode(ManagedNode):
             image = received.array()
             markers = detect(image, self.detection.value)
             if self.reference is None:
-                self._take_reference(markers)
-            assert self.reference is not None
+                spacing = markers.spacing()  # which raises where there are too few
+                self.reference, what = markers, f"{len(markers)} markers, {spacing:.1f} px apart"
+                self.get_logger().info(f"reference: {what}; nothing may have touched the sensor")
             picture = side_by_side(image, markers, density_change(markers, self.reference, image.shape))
         except (MessageError, ImageError) as error:
             self.count("images refused")
@@ -88,13 +89,6 @@ class MarkerViewNode(ManagedNode):
                 encoding="bgr8", step=3 * width, data=picture.tobytes(),
             )
         )  # fmt: skip
-
-    def _take_reference(self, markers: DetectedMarkers) -> None:
-        spacing = markers.spacing()
-        self.reference = markers
-        self.get_logger().info(
-            f"reference: {len(markers)} markers, {spacing:.1f} px apart; nothing may have touched the sensor"
-        )
 
     def _capture_reference(self, request: Trigger.Request) -> None:
         self.reference = None

@@ -30,7 +30,7 @@ from tactile_filter.events import JUMP_NS, Event, measurement_join, says_no_cont
 from tactile_filter.object.merge import EventGroup, EventMerge
 from tactile_filter.object.settings import PlaceSettings, TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker, TrackedObject
-from tactile_geometry.gaussian import ros_from_left
+from tactile_geometry.gaussian import PoseGaussian, ros_from_left
 from tactile_geometry.transform_buffer import MotionLimits
 from tactile_msgs.msg import ContactState
 from tactile_ros.latency import LatencyPublisher
@@ -74,7 +74,7 @@ class ArmInput:
         self.topics = topics.BELIEF.of(arm).name, topics.STATE.of(arm).name
         self._node = node
         self._newest_ns = -1
-        self._gate = TransformGate(
+        self.gate = TransformGate(
             node,
             self.join,
             node.transforms,
@@ -94,10 +94,6 @@ class ArmInput:
         """Forget what waits, and all stamps."""
         self.join.clear()
         self._newest_ns = -1
-
-    def pump(self) -> None:
-        """Pass on what has its transform."""
-        self._gate.pump()
 
     def dropped(self) -> int:
         """Beliefs lost so far."""
@@ -123,7 +119,7 @@ class ArmInput:
         self._newest_ns = max(self._newest_ns, stamp_ns)
         if not self.join.add(source, stamp_ns, (content, received_ns), time.monotonic_ns()):
             self._refuse("its stamp is not later than the last one's")
-        self.pump()
+        self.gate.pump()
 
     def _deliver(self, event: Event, T_world_sensor: NDArray[np.float64]) -> None:
         contact = not says_no_contact(event.parts)
@@ -162,17 +158,11 @@ class ObjectNode(ManagedNode):
         )
         self.limits = fixed_settings(self, MotionLimits(), "transforms")
         self.bounds = fixed_settings(self, ContactBounds(), "bounds")
-        self.places = {
-            arm: SettingsParameters(
-                self,
-                PlaceSettings(),
-                prefix=f"place.{arm}",
-                on_change=functools.partial(self._change_place, arm),
-            )
-            for arm in self.arms
-        }
-        given = {arm: place.value.place() for arm, place in self.places.items()}
-        known = {arm: place for arm, place in given.items() if place is not None}
+        known: dict[str, PoseGaussian] = {}
+        for arm in self.arms:
+            change = functools.partial(self._change_place, arm)
+            given = SettingsParameters(self, PlaceSettings(), prefix=f"place.{arm}", on_change=change)
+            known |= {arm: place} if (place := given.value.place()) is not None else {}
         self.tracker = ObjectTracker(self.arms, self.settings.value, known)
         self.merge = EventMerge(self.arms)
         self.last: TrackedObject | None = None
@@ -220,7 +210,7 @@ class ObjectNode(ManagedNode):
     def _pump(self) -> None:
         if self.active:
             for contact in self.contacts:
-                contact.pump()
+                contact.gate.pump()
 
     def _hand_on(self) -> None:
         """Take what need not wait any more."""
@@ -279,16 +269,13 @@ class ObjectNode(ManagedNode):
 
     def _clear(self, reason: str) -> None:
         """Start anew, inputs included."""
-        self._reset(reason)
-        self.merge.clear()
-        for contact in self.contacts:
-            contact.clear()
-
-    def _reset(self, reason: str) -> None:
         self.tracker.reset(reason)
         self.last = None
         self.frame_out.clear()
         self.count(f"resets: {reason}")
+        self.merge.clear()
+        for contact in self.contacts:
+            contact.clear()
 
     def _change_place(self, arm: str, place: PlaceSettings) -> None:
         self.tracker.set_place(arm, place.place())

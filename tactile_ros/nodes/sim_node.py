@@ -91,7 +91,7 @@ class SensorOutlet:
         self.base, self.frame = topics.base_frame(arm), topics.sensor_frame(arm)
         self.arm, self.camera, self.lost = arm, camera, 0
         self._node = node
-        self._truth = node.publisher(ContactTruth, topics.TRUTH.of(arm).name, STATE)
+        self.truth = node.publisher(ContactTruth, topics.TRUTH.of(arm).name, STATE)
         if camera is None:
             self._presence = node.publisher(ContactPresence, topics.PRESENCE.of(arm).name, STATE)
             self._estimate = node.publisher(PoseWithCovarianceStamped, topics.ESTIMATE.of(arm).name, STATE)
@@ -103,10 +103,6 @@ class SensorOutlet:
             self._publish_ideal(frame)
         elif frame.image is not None:
             self.camera.take_frame(CameraFrame(frame.stamp_ns, frame.image, self.lost))
-
-    def publish_truth(self, frame: Frame) -> None:
-        """What no real cell knows."""
-        self._truth.publish(truth_bytes(frame, self.base))
 
     def _publish_ideal(self, frame: Frame) -> None:
         in_contact = frame.estimate is not None
@@ -125,11 +121,8 @@ class SimNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("sim")
-        self.settings = SettingsParameters(
-            self,
-            SimSettings(),
-            read_only=("scene", "seed", "camera_rate", "status_rate", "rehearse", "feels"),
-        )
+        fixed = ("scene", "seed", "camera_rate", "status_rate", "rehearse", "feels")
+        self.settings = SettingsParameters(self, SimSettings(), read_only=fixed)
         try:
             scene = load_scene(self.settings.value.scene)
             scene = rehearsed(scene) if self.settings.value.rehearse else scene
@@ -138,23 +131,15 @@ class SimNode(ManagedNode):
             raise ConfigurationError(str(error)) from error
         self.doubles: dict[str, Double] = {}
         self.reported: list[ReportedDouble] = []
-        self.arms = {
-            name: self._hosted(ArmNode, arm, name)
-            for name, arm in self.scene.arms.items()
-            if arm.driver == SIM
-        }
-        self.cameras = {
-            name: self._hosted(CameraNode, True, name)
-            for name, arm in self.scene.arms.items()
-            if arm.simulated_sensor and self.scene.gives_images(name)
-        }
+        arms = self.scene.arms.items()
+        self.arms = {name: self._hosted(ArmNode, arm, name) for name, arm in arms if arm.driver == SIM}
+        exposed = [name for name, arm in arms if arm.simulated_sensor and self.scene.gives_images(name)]
+        self.cameras = {name: self._hosted(CameraNode, True, name) for name in exposed}
 
     def _hosted(self, kind: Any, hosted: Any, arm: str) -> Any:
         """A node of this process; names given on the command line are this node's alone."""
-        passed = {
-            name: self.get_parameter(name).value
-            for name in ("use_sim_time", "autostart", "diagnostics_period")
-        }
+        names = ("use_sim_time", "autostart", "diagnostics_period")
+        passed = {name: self.get_parameter(name).value for name in names}
         if kind is ArmNode:
             passed |= {name: getattr(self.settings.value, name) for name in ("status_rate", "feels")}
         overrides = [Parameter(name, value=value) for name, value in passed.items()]
@@ -175,11 +160,8 @@ class SimNode(ManagedNode):
         except (ValueError, OSError) as error:
             raise ConfigurationError(str(error)) from error
         self.report.values["scene"] = str(self.scene.path)
-        self.outlets = [
-            SensorOutlet(self, name, self.cameras.get(name))
-            for name in self.cell.arms
-            if self.scene.arms[name].simulated_sensor
-        ]
+        simulated = [name for name in self.cell.arms if self.scene.arms[name].simulated_sensor]
+        self.outlets = [SensorOutlet(self, name, self.cameras.get(name)) for name in simulated]
         self.loose = [name for name in self.scene.bodies if not _frame_of(self.scene, name)]
         self.tf_out = self.publisher(TFMessage, topics.TF.name, TF)
         moving = [node.moving_transform() for node in self.arms.values()]
@@ -227,10 +209,8 @@ class SimNode(ManagedNode):
         self.reported.clear()
 
     def _start_cell(self, stamp_ns: int = 0) -> None:
-        followed = {
-            name: FollowedArm(self.scene.arms[name], double, stamp_ns)
-            for name, double in self.doubles.items()
-        }
+        arms, doubles = self.scene.arms, self.doubles.items()
+        followed = {name: FollowedArm(arms[name], double, stamp_ns) for name, double in doubles}
         self.cell = Cell(self.scene, self.settings.value.seed, stamp_ns, followed=followed)
 
     def due_in(self) -> float:
@@ -275,7 +255,7 @@ class SimNode(ManagedNode):
             outlet.publish(frame)
         self._publish_transforms(stamp_ns, states)
         for outlet, frame in frames:
-            outlet.publish_truth(frame)
+            outlet.truth.publish(truth_bytes(frame, outlet.base))
         for node, state in states:
             node.publish_status(state)
 
@@ -339,10 +319,9 @@ def with_camera_rate(scene: Scene, camera_rate: float) -> Scene:
     if camera_rate == 0.0:
         return scene
     rate = scene.simulation.rate
-    steps = next(
-        (n for n in range(rate, 1001) if math.isclose(n / camera_rate, round(n / camera_rate))), None
-    )
-    if steps is None or camera_rate > steps:
+    multiples = (n for n in range(rate, 1001) if math.isclose(n / camera_rate, round(n / camera_rate)))
+    steps = next(multiples, 0)
+    if camera_rate > steps:
         raise ValueError(
             f"camera_rate = {camera_rate:g} Hz: no whole number of steps a second is a multiple of it"
         )

@@ -3,14 +3,27 @@
 import array
 
 import numpy as np
-from geometry_msgs.msg import PoseWithCovariance, PoseWithCovarianceStamped, Twist, TwistStamped, Vector3
+from geometry_msgs.msg import (
+    PoseWithCovariance,
+    PoseWithCovarianceStamped,
+    Transform,
+    Twist,
+    TwistStamped,
+    Vector3,
+)
 from sensor_msgs.msg import Image
 
 from tactile_geometry.gaussian import PoseGaussian, ros_from_left
 from tactile_msgs.msg import ArmCommand
 from tactile_perception.estimating.encodings import MONO8
 from tactile_ros.conversions import header, pose_from_matrix
-from tactile_wire.pose_numbers import gaussian_from_numbers
+from tactile_wire.pose_numbers import gaussian_from_numbers, pose_from_numbers
+
+
+def matrix_from_transform(transform: Transform) -> np.ndarray:
+    """T_parent_child (4, 4)."""
+    p, q = transform.translation, transform.rotation
+    return pose_from_numbers((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
 
 
 def vector_from_twist(twist: Twist) -> np.ndarray:

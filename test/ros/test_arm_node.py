@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arm_bench import ALONG, ARM_NODE, SENSOR, SENSOR_TEXT, TOOL, keep_commanding, position, scene_text
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from messages import arm_command, vector_from_twist
+from messages import arm_command, matrix_from_transform, vector_from_twist
 from other_package import installed
 from sensor_msgs.msg import Image
 from std_msgs.msg import Bool
@@ -14,7 +14,7 @@ from tf2_msgs.msg import TFMessage
 from tactile_geometry import se3
 from tactile_msgs.msg import ArmCommand, ArmStatus, StageLatency
 from tactile_ros import qos
-from tactile_ros.conversions import array_from_image, matrix_from_pose, matrix_from_transform, ns_from_time
+from tactile_ros.conversions import array_from_image, matrix_from_pose, ns_from_time
 
 CAMERA_NODE = "tactile_ros.nodes.camera_node"
 

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
-from messages import arm_command, vector_from_twist
+from messages import arm_command, matrix_from_transform, vector_from_twist
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
 from tactile_geometry import se3
 from tactile_msgs.msg import ArmCommand, ArmStatus
 from tactile_ros import qos
-from tactile_ros.conversions import matrix_from_transform, ns_from_time, transform_stamped
+from tactile_ros.conversions import ns_from_time, transform_stamped
 
 ARM_NODE = "tactile_ros.nodes.arm_node"
 SCENE = Path(__file__).parents[2] / "examples/external_arm/my_moveit_cell.yaml"

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from messages import gaussian_from_message, gaussian_message
+from messages import gaussian_from_message, gaussian_message, matrix_from_transform
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from tf2_msgs.msg import TFMessage
@@ -20,13 +20,7 @@ from tactile_geometry.gaussian import PoseGaussian
 from tactile_msgs.msg import ContactForce, ContactPresence, ContactState
 from tactile_msgs.srv import ResetFilter
 from tactile_ros import qos
-from tactile_ros.conversions import (
-    header,
-    matrix_from_transform,
-    ns_from_time,
-    time_from_ns,
-    transform_stamped,
-)
+from tactile_ros.conversions import header, ns_from_time, time_from_ns, transform_stamped
 
 FILTER = "tactile_ros.nodes.filter_node"
 SENSOR = "arm/tactile_sensor"

@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+from messages import matrix_from_transform
 from other_package import installed
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -14,7 +15,7 @@ from tactile_geometry import se3
 from tactile_geometry.transform_buffer import TransformBuffer
 from tactile_msgs.msg import ArmStatus
 from tactile_ros import qos
-from tactile_ros.conversions import matrix_from_transform, ns_from_time
+from tactile_ros.conversions import ns_from_time
 from tactile_scene.scene_file import load_scene
 
 ARM_NODE, SIM = "tactile_ros.nodes.arm_node", "tactile_ros.nodes.sim_node"

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from messages import matrix_from_transform
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -18,7 +19,7 @@ from tactile_geometry import se3
 from tactile_geometry.transform_buffer import TransformBuffer
 from tactile_msgs.msg import ArmStatus
 from tactile_ros import qos
-from tactile_ros.conversions import header, matrix_from_pose, matrix_from_transform, transform_stamped
+from tactile_ros.conversions import header, matrix_from_pose, transform_stamped
 
 ARM_NODE = "tactile_ros.nodes.arm_node"
 COMMANDS = "/forward_velocity_controller/commands"

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from messages import gaussian_from_message, gaussian_message
+from messages import gaussian_from_message, gaussian_message, matrix_from_transform
 from tf2_msgs.msg import TFMessage
 
 from tactile_filter.object.settings import TrackerSettings
@@ -16,12 +16,7 @@ from tactile_geometry.gaussian import PoseGaussian
 from tactile_msgs.msg import ContactState, StageLatency
 from tactile_msgs.srv import ResetFilter
 from tactile_ros import qos
-from tactile_ros.conversions import (
-    header,
-    matrix_from_transform,
-    ns_from_time,
-    transform_stamped,
-)
+from tactile_ros.conversions import header, ns_from_time, transform_stamped
 
 NODE, FILTER, SIM = (
     "tactile_ros.nodes.object_node",

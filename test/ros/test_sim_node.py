@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistStamped
-from messages import arm_command, vector_from_twist
+from messages import arm_command, matrix_from_transform, vector_from_twist
 from other_package import installed
 from sensor_msgs.msg import Image
 from std_msgs.msg import Bool
@@ -13,13 +13,7 @@ from tactile_base.config_paths import config_path
 from tactile_geometry import se3
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactPresence, ContactTruth
 from tactile_ros import qos
-from tactile_ros.conversions import (
-    array_from_image,
-    matrix_from_pose,
-    matrix_from_transform,
-    ns_from_time,
-    transform_stamped,
-)
+from tactile_ros.conversions import array_from_image, matrix_from_pose, ns_from_time, transform_stamped
 from tactile_scene.scene_file import load_scene
 
 SIM = "tactile_ros.nodes.sim_node"

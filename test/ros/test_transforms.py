@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: make, then . scripts/env.sh")
 
+from messages import matrix_from_transform
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from tf2_msgs.msg import TFMessage
@@ -15,7 +16,7 @@ from tf2_msgs.msg import TFMessage
 from tactile_filter.events import EventJoin
 from tactile_geometry import se3
 from tactile_geometry.transform_buffer import TransformInFuture, TransformInPast
-from tactile_ros.conversions import matrix_from_transform, transform_stamped
+from tactile_ros.conversions import transform_stamped
 from tactile_ros.transforms import TransformGate, TransformListener
 
 BASE, TOOL, SENSOR = "arm/base", "arm/tool", "arm/tactile_sensor"
