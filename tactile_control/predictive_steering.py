@@ -18,13 +18,21 @@ found by linearization about the last plan, as theirs, with the bound met as in 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from tactile_control.steering import SteeringSettings
+from typing import Any, Protocol
 
 STEPS = 12
 LEAST_WAY = 0.002  # m: a plan is no shorter
+
+
+class PlanSettings(Protocol):
+    """What a plan takes of `SteeringSettings`."""
+
+    @property
+    def cone(self) -> float: ...
+    @property
+    def reach(self) -> float: ...
+    @property
+    def end_way(self) -> float: ...
 
 
 class Plan:
@@ -34,7 +42,7 @@ class Plan:
         self._math = math
         self.slopes = [0.0 * like for _ in range(STEPS)]
 
-    def step(self, settings: SteeringSettings, model: tuple[Any, Any], y: Any, z: Any, radius: float) -> Any:
+    def step(self, settings: PlanSettings, model: tuple[Any, Any], y: Any, z: Any, radius: float) -> Any:
         """Improve the plan for a target at (y, z), of which the tip stops `radius` short; its first slope."""
         math, cone = self._math, settings.cone
         piece = math.clip(math.sqrt(y * y + z * z) - radius, LEAST_WAY, 10.0) / STEPS
@@ -56,7 +64,7 @@ class Plan:
         return states
 
     def _laws(
-        self, settings: SteeringSettings, model: tuple[Any, Any], states: list[tuple[Any, Any]], piece: Any
+        self, settings: PlanSettings, model: tuple[Any, Any], states: list[tuple[Any, Any]], piece: Any
     ) -> list[tuple[Any, Any, Any]]:
         """Change of each slope, and its change with y and z then: Riccati's recursion from the end."""
         math, (a, b), cone = self._math, model, settings.cone

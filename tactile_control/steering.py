@@ -30,7 +30,6 @@ from tactile_base.array_math import NUMBERS
 from tactile_base.settings import Settings, setting
 from tactile_control.pose_steering import curvature, largest_curvature
 from tactile_control.predictive_steering import Plan
-from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 
@@ -60,11 +59,11 @@ class SteeringSettings(Settings):
         doc="law predictive: largest sideways speed over that ahead; within the motion cone the tip sticks",
     )  # fmt: skip
     reach: float = setting(
-        0.02, lower=1e-3, upper=1.0, unit="m",
+        0.012, lower=1e-3, upper=1.0, unit="m",
         doc="law predictive: an offset of the target that counts as much as a ratio of 1",
     )  # fmt: skip
     end_way: float = setting(
-        1.0, lower=0.0, upper=10.0, unit="m", doc="law predictive: the offset at the end counts as so much way"
+        1.0, lower=0.0, upper=10.0, unit="m", doc="law predictive: the end counts as so much way"
     )
     limit: float = setting(
         0.015, lower=0.0, upper=0.1, unit="m/s", doc="the sideways velocity is clipped to +- this"
