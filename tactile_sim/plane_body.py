@@ -80,7 +80,7 @@ class Outlines:
 
 
 def _sides(surface: Surface) -> tuple[Any, Any, Any, float]:
-    s = surface.settings
+    s: Any = surface.settings
     if isinstance(surface, Cylinder) and s.axis == "z" and s.ends:
         return np.ones(1, complex), np.zeros(1), np.zeros(1), s.radius
     if isinstance(surface, Box):

@@ -272,7 +272,7 @@ class PlaneCell:
         self.arms = [PlaneArm([each.arms[name] for each in scenes], math) for name in scene.arms]
         own = np.array([np.random.SeedSequence(seed).generate_state(len(self.arms)) for seed in seeds])
         self.sensors = [
-            PlaneSensor([_model(each, name) for each in scenes], own[:, k], self.bodies, math)
+            PlaneSensor([_model(each, name) for each in scenes], own[:, k].tolist(), self.bodies, math)
             for k, name in enumerate(scene.arms)
         ]
         self.frame_ticks = [
