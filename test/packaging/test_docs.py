@@ -230,7 +230,7 @@ def test_the_reference_has_every_command(reference: Path):
 def test_the_reference_says_which_settings_are_a_nodes_parameters(reference: Path):
     text = (reference / "nodes.md").read_text()
     controller = text[text.index("\n## controller") : text.index("\n## estimator")]
-    assert "| `task` | the kind of task that it runs; default `'surface_following'` | no |" in controller
+    assert "| `task_name` | the kind of task that it runs; default `'surface_following'` | no |" in controller
     assert "| `bounds.*` | [ContactBounds](settings.md#contactbounds) | no |" in controller
     assert "`contact/state`" in controller and "`run_task`" in controller
 
