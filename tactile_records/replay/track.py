@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from tactile_base.topics import ARM_POSE, ESTIMATE, FORCE_ESTIMATE, PRESENCE, STATE, TRUTH
 from tactile_filter.contact_bounds import TACTIP, ContactBounds
-from tactile_filter.force import ForceGaussian, ForceSettings
 from tactile_filter.filter_settings import FilterSettings
+from tactile_filter.force import ForceGaussian, ForceSettings
 from tactile_geometry import se3
 from tactile_geometry.gaussian import UNUSABLE, PoseGaussian
 from tactile_geometry.transform_buffer import TransformUnavailable
