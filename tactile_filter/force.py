@@ -93,7 +93,7 @@ class ForceFilter:
                 return self._start(stamp_ns, estimate)
             return self._refuse(f"its NIS is {self.nis:.1f}, above {self._gate:.1f}")
         left = np.eye(3) - gain
-        cov = left @ prior @ left.T + gain @ estimate.cov @ gain.T  # symmetric and positive whatever is rounded
+        cov = left @ prior @ left.T + gain @ estimate.cov @ gain.T  # positive whatever is rounded
         self.belief = ForceGaussian(self.belief.mean + gain @ innovation, cov)
         self._stamp_ns, self._refused_in_a_row = stamp_ns, 0
         return ""

@@ -157,7 +157,11 @@ def _report_labels(result: CheckResult) -> None:
     ranges = found.ranges
     labelled = result.folder.labelled
     if missing := [name for name in EULER_COMPONENTS if name not in labelled]:
-        result.add("warning", "labels", f"{', '.join(missing)} not labelled: a network trained on this knows their bounds alone")
+        result.add(
+            "warning",
+            "labels",
+            f"{', '.join(missing)} not labelled: a network trained on this knows their bounds alone",
+        )
     if constant := [name for name in found.constant if name in labelled]:
         result.add("warning", "labels", f"{', '.join(constant)} never changes: nothing to learn from it")
     if found.repeated:

@@ -3,8 +3,8 @@
 A contact model has the six components of the contact pose, the Euler surface contact pose of X_fs, and
 perhaps forces. Another package adds one by an entry point of the group `tactile_servoing.contact_models`.
 
-Where all six are labelled and none goes all round, a network learns them as xi_sf, in which each mixes several.
-Otherwise it learns them one by one. What no label fixes it cannot know: that has its prior, the uniform
+Where all six are labelled and none goes all round, a network learns them as xi_sf, in which each mixes
+several. Otherwise it learns them one by one. What no label fixes it cannot know: that has its prior, the uniform
 distribution over its bounds, as mean and standard deviation.
 """
 
@@ -91,7 +91,8 @@ class ContactModel:
         """What is wrong with it."""
         names = self.quantity_names
         if names[:POSE] != EULER_COMPONENTS or names[POSE:] != tuple(f for f in FORCES if f in names):
-            yield f"quantities are {', '.join(names)}: must be {', '.join(EULER_COMPONENTS)}, then of {FORCES}"
+            right = ", ".join(EULER_COMPONENTS)
+            yield f"quantities are {', '.join(names)}: must be {right}, then of {FORCES}"
             return
         for quantity, unit in zip(self.quantities, (*EULER_UNITS, *"N" * len(self.forces)), strict=True):
             if quantity.unit != unit or not quantity.low < quantity.high:
@@ -140,7 +141,10 @@ class ContactModel:
         """What no label has fixed, for people; empty if all is."""
         if not self.unknown:
             return ""
-        bounds = {quantity.name: f"{quantity.low:g} to {quantity.high:g} {quantity.unit}" for quantity in self.quantities}
+        bounds = {
+            quantity.name: f"{quantity.low:g} to {quantity.high:g} {quantity.unit}"
+            for quantity in self.quantities
+        }
         listed = ", ".join(f"{name} ({bounds[name]})" for name in self.unknown)
         return f"not labelled, so that only bounds are known: {listed}"
 
@@ -172,17 +176,17 @@ class ContactModel:
         return 0.5 * (low + high), (high - low) / np.sqrt(12.0)
 
     def narrowed(self, labelled: Iterable[str], where: object) -> ContactModel:
-        """This model for data with these labels; `SettingError` if they lack what it requires."""
+        """The model for data with these labels; `SettingError` if they lack what it requires."""
         found = tuple(name for name in self.quantity_names if name in set(labelled))
         if missing := [name for name in self.required if name not in found]:
             raise SettingError(
-                f"{where}: the contact model '{self.name}' needs {', '.join(missing)}, which is not labelled; "
-                f"labelled: {', '.join(found)}"
+                f"{where}: the contact model '{self.name}' needs {', '.join(missing)}, which is not "
+                f"labelled; labelled: {', '.join(found)}"
             )
         if self.forces and not set(self.forces) & set(found):
             raise SettingError(
-                f"{where}: the contact model '{self.name}' tells forces, and none of {', '.join(self.forces)} "
-                "is labelled: take another model (--model), or name their columns (`tactile data import`)"
+                f"{where}: the contact model '{self.name}' tells forces, and none of "
+                f"{', '.join(self.forces)} is labelled: take another model (--model), or name their columns (`tactile data import`)"
             )
         return dataclasses.replace(self, labelled=found)
 
@@ -198,7 +202,7 @@ class ContactModel:
         missing = [name for name in self.quantity_names if name not in labelled]
         if self.tangent and (lacking := [name for name in missing if name in EULER_COMPONENTS]):
             raise SettingError(
-                f"{', '.join(lacking)} not labelled: the network tells all six components of the contact pose "
+                f"{', '.join(lacking)} not labelled: the network tells all six components of the pose "
                 "together, so that it can only be held against labels of all six"
             )
         pose = labels_from_euler(euler) if self.tangent else euler / _TABLE_SCALE

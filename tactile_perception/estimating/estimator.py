@@ -182,7 +182,6 @@ class Estimator:
             sigma *= calibration.factors(mean, sigma)
         return gaussian_from_root(mean, sigma)
 
-
     def _pose_of_all(self, mean: Array, uncertainty: Array) -> PoseGaussian:
         """The pose of an answer that holds more than xi_sf, or something else; keeps the force."""
         if self._uncertainty == INVERSE_SIGMA and not (uncertainty > 0.0).all():

@@ -31,7 +31,7 @@ RUN_MODELS = QUANTIZED_NAME, MODEL_NAME = "model_int8.onnx", "model.onnx"
 FRAMES = (
     "xi = [rho, phi] = ln(X_sf): the surface feature frame {f} in the sensor frame {s}. {s}: origin at the "
     "center of the hemispherical tip, z out of the tip. {f}: z into the surface, aligned with {s} where the "
-    "sensor just touches; inverse_sigma or covariance: of the components around mu. Where the components are x, y, z, "
+    "sensor just touches; inverse_sigma or covariance: of the components around mu. Where they are x, y, z, "
     "alpha, beta, gamma, they are those of X_fs itself (extrinsic xyz)"
 )
 LAYOUT, PLAIN_DEPTH, NOVELTY = "layout", "plain_depth", "novelty"

@@ -41,7 +41,7 @@ def draw_predicted_against_actual(
 ) -> None:
     """The paper's figure: predicted against actual, colored by precision, rows of three plots for each entry.
 
-    A row is (name, actual (N, K), predicted (N, K), sigma (N, K) or None) of K components with names and units.
+    A row is (name, actual (N, K), predicted (N, K), sigma (N, K) or None), of K components.
     """
     lines = -(-len(names) // 3)
     figure, grid = plot_grid(lines * len(rows), 3, 3.2)

@@ -22,7 +22,7 @@ MSE_WEIGHTS = {"mm": 1.0, "rad": 100.0, "N": 0.0}
 
 @dataclass(frozen=True)
 class Predictions:
-    """Gaussians over what the networks tell: xi_sf in the tangent space, or another contact model's quantities.
+    """Gaussians over what the networks tell: xi_sf in the tangent space, or what another model has.
 
     Attributes
     ----------

@@ -3,6 +3,7 @@
 Labels may be NaN: what is not labelled has no part in the loss, neither the mean that the network tells of it
 nor its deviation. An angle that goes all round is told by two outputs, its sine and its cosine.
 """
+
 from __future__ import annotations
 
 import math

@@ -246,7 +246,9 @@ class _Run:
         self.network.load_state_dict(folder.load_best())
         loss, mae = self.evaluate(self.data.validation)
         model = self.data.model
-        errors = {name: value for name, value in zip(model.names, mae.tolist(), strict=True) if value == value}
+        errors = {
+            name: value for name, value in zip(model.names, mae.tolist(), strict=True) if value == value
+        }
         validation = {"validation_loss": loss, "mae": errors}
         training: dict[str, Any] = self.config.plain()
         if self.axis is not None:
@@ -259,9 +261,7 @@ class _Run:
             training=training,
             calibration=calibration,
             layout=Layout.of(self.data.training.images),
-            plain_depth=PlainDepth.fit(
-                self.data.training.images, model.depths(self.data.training.labels)
-            ),
+            plain_depth=PlainDepth.fit(self.data.training.images, model.depths(self.data.training.labels)),
             novelty=Novelty.fit(self.data.training.images),
             contact_model=model,
         )

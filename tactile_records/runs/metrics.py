@@ -316,7 +316,9 @@ def _force(record: RunRecord) -> dict[str, Any]:
     columns = series.force.T
     return {
         "mean_n": dict(zip("xyz", map(mean, columns), strict=True)),
-        "deviation_n": {axis: rms(column - mean(column)) for axis, column in zip("xyz", columns, strict=True)},
+        "deviation_n": {
+            axis: rms(column - mean(column)) for axis, column in zip("xyz", columns, strict=True)
+        },
         "largest_n": largest(np.linalg.norm(series.force, axis=1)),
         "nis_per_dof": mean(series.nis[np.isfinite(series.nis)]) / 3.0,
     }

@@ -47,7 +47,9 @@ def test_the_models_are_plug_ins_with_bounds():
 
 
 def test_a_model_that_lacks_what_it_needs_says_what():
-    with pytest.raises(SettingError, match="'edge' needs y, gamma, which is not labelled; labelled: z, alpha"):
+    with pytest.raises(
+        SettingError, match="'edge' needs y, gamma, which is not labelled; labelled: z, alpha"
+    ):
         EDGE.narrowed(POSE_ONLY, "data")
     with pytest.raises(SettingError, match="tells forces, and none of Fx, Fy, Fz is labelled"):
         SURFACE_FORCE.narrowed(SURFACE.labelled, "data")
@@ -67,7 +69,9 @@ def test_a_gaussian_over_euler_components_is_that_over_the_pose():
         left.append([*change[:3, 3], *Rotation.from_matrix(change[:3, :3]).as_rotvec()])
     sampled = 1e6 * np.cov(np.array(left).T)
     scale = np.sqrt(np.diag(sampled))
-    np.testing.assert_allclose(found.cov / np.outer(scale, scale), sampled / np.outer(scale, scale), atol=0.03)
+    np.testing.assert_allclose(
+        found.cov / np.outer(scale, scale), sampled / np.outer(scale, scale), atol=0.03
+    )
     back, cov = euler_gaussian(found)
     np.testing.assert_allclose(back, mean, atol=1e-9)
     np.testing.assert_allclose(cov, np.diag(sigma**2), atol=1e-9)
@@ -80,7 +84,9 @@ def test_a_shipped_model_from_before_is_a_surface_with_the_same_numbers():
     assert estimator.metadata.contact_model == SURFACE
     image = np.random.default_rng(0).integers(0, 255, (480, 640)).astype(np.uint8)
     prepared = Preprocessor(estimator.metadata.preprocessing)(image)
-    mu, inverse_sigma = (x[0].astype(np.float64) for x in session.run(["mu", "inverse_sigma"], {"image": prepared}))
+    mu, inverse_sigma = (
+        x[0].astype(np.float64) for x in session.run(["mu", "inverse_sigma"], {"image": prepared})
+    )
     assert estimator.metadata.calibration.is_identity
     expected = gaussian_from_root(mu, 1.0 / inverse_sigma)
     found = estimator.estimate(image)
@@ -165,7 +171,9 @@ def test_the_loss_of_what_is_labelled_is_that_of_a_network_of_it_alone(torch, he
 
 
 @pytest.mark.parametrize("head", ["mse", "gaussian", "full_gaussian", "mixture"])
-@pytest.mark.parametrize("model", [MASKED, EDGE.narrowed(("y", "z", "gamma"), ""), SURFACE_FORCE], ids=lambda m: m.name)
+@pytest.mark.parametrize(
+    "model", [MASKED, EDGE.narrowed(("y", "z", "gamma"), ""), SURFACE_FORCE], ids=lambda m: m.name
+)
 def test_the_file_answers_as_the_network_and_with_the_prior(torch, tmp_path, model_metadata, model, head):
     import dataclasses
 
@@ -193,7 +201,9 @@ def test_the_file_answers_as_the_network_and_with_the_prior(torch, tmp_path, mod
     prior_mean, prior_sigma = model.prior
     assert np.allclose(mean[:, ~known], prior_mean[~known], atol=1e-6)
     unknown = np.flatnonzero(~known)
-    np.testing.assert_allclose(cov[:, unknown, unknown], np.tile(prior_sigma[~known] ** 2, (40, 1)), rtol=1e-5)
+    np.testing.assert_allclose(
+        cov[:, unknown, unknown], np.tile(prior_sigma[~known] ** 2, (40, 1)), rtol=1e-5
+    )
     assert (cov[np.ix_(range(40), unknown, np.flatnonzero(known))] == 0.0).all()
     pose, row = estimator.estimate_prepared(as_input(images[0])), mean[0]
     if not model.tangent:  # the prior's covariance lies along the components that no label fixed
@@ -246,12 +256,13 @@ def labelled_folder(path, count: int, seed: int, dots) -> None:
 
 
 def test_a_data_set_with_missing_components_trains_and_its_model_says_so(torch, tmp_path, dots):
+    from test_training import QUICK
+
     from tactile_perception.evaluation.evaluate import evaluate, load_data
     from tactile_perception.evaluation.models import open_models
     from tactile_perception.training.quantization import quantize
     from tactile_perception.training.recalibration import recalibrate
     from tactile_perception.training.train import train
-    from test_training import QUICK
 
     for part, count, seed in (("train", 160, 0), ("val", 60, 1)):
         labelled_folder(tmp_path / part, count, seed, dots)
@@ -259,13 +270,18 @@ def test_a_data_set_with_missing_components_trains_and_its_model_says_so(torch, 
         model="surface_force", holdback=0.125, rise_epochs=0, hold_epochs=4, decay_epochs=4
     )
     calibration = QUICK.calibration.replaced(min_samples=20)
-    config = type(QUICK)(QUICK.network.replaced(head="full_gaussian"), settings, QUICK.augmentation, calibration)
+    config = type(QUICK)(
+        QUICK.network.replaced(head="full_gaussian"), settings, QUICK.augmentation, calibration
+    )
     result = train(tmp_path, tmp_path / "run", config)
     assert result.epochs[-1].train_loss < result.epochs[0].train_loss - 0.5
     metadata = Estimator(result.model_path).metadata
     assert metadata.contact_model.labelled == ("z", "alpha", "beta", "Fz")
     assert set(metadata.validation["mae"]) == {"z", "alpha", "beta", "Fz"}
-    assert "not labelled, so that only bounds are known: x (-5 to 5 mm)" in (tmp_path / "run/data.txt").read_text()
+    assert (
+        "not labelled, so that only bounds are known: x (-5 to 5 mm)"
+        in (tmp_path / "run/data.txt").read_text()
+    )
 
     models = open_models([result.model_path])
     data = load_data(tmp_path / "val", models)
@@ -279,13 +295,16 @@ def test_a_data_set_with_missing_components_trains_and_its_model_says_so(torch, 
     images = read_dataset(tmp_path / "train", metadata.preprocessing, complete=False).images
     small = quantize(result.model_path, images, tmp_path / "small.onnx")
     assert Estimator(small).metadata.contact_model == metadata.contact_model
-    fitted, own = recalibrate(result.model_path, tmp_path / "val", tmp_path / "again.onnx", {"min_samples": 20})
+    fitted, own = recalibrate(
+        result.model_path, tmp_path / "val", tmp_path / "again.onnx", {"min_samples": 20}
+    )
     assert not own and fitted.size == 9
 
 
 def test_turning_a_contact_needs_all_of_its_label(torch, tmp_path, dots):
-    from tactile_perception.training.train import train
     from test_training import QUICK
+
+    from tactile_perception.training.train import train
 
     for part, count, seed in (("train", 12, 0), ("val", 8, 1)):
         labelled_folder(tmp_path / part, count, seed, dots)

@@ -67,7 +67,12 @@ def test_beliefs_are_those_of_the_live_filter_to_the_bit(tmp_path):
 
 
 def test_a_recorded_force_is_filtered_anew_exported_and_reported(tmp_path):
-    source, cov, library, wanted = recording(touching=lambda k: k < 20 or k >= 30), np.eye(3), ForceFilter(), []
+    source, cov, library, wanted = (
+        recording(touching=lambda k: k < 20 or k >= 30),
+        np.eye(3),
+        ForceFilter(),
+        [],
+    )
     source.note["parameters"] = json.dumps({"/arm/filter": {"force.noise": 3.0}})
     library.configure(ForceSettings(noise=3.0))
     for k in range(60):

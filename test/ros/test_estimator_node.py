@@ -153,7 +153,9 @@ def test_an_image_becomes_the_estimate_of_the_library_with_the_same_stamp_and_th
     np.testing.assert_allclose(got.cov, expected.cov, rtol=1e-9, atol=1e-15)
 
 
-def test_a_force_is_published_with_its_covariance_and_a_model_of_the_surface_has_none(graph, camera, tmp_path):
+def test_a_force_is_published_with_its_covariance_and_a_model_of_the_surface_has_none(
+    graph, camera, tmp_path
+):
     wrenches = camera.graph.collect(WrenchStamped, "contact/wrench")
     assert camera.answered(camera.send()) and not wrenches
     told = SURFACE_FORCE.narrowed(("z", "alpha", "beta", "Fx", "Fy", "Fz"), "here")
