@@ -43,6 +43,16 @@ def test_another_package_adds_entries_without_a_change_here(registry: Registry[t
     assert registry.names() == ("settings", "broken", "slip", "thing")
 
 
+def test_a_package_that_is_installed_while_we_run_is_found(registry, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert registry.names() == ("settings",)
+    info = tmp_path / "late-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: late\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{GROUP}]\nlate = late:Thing\n")
+    assert registry.names() == ("settings", "late")
+
+
 def test_another_package_cannot_replace_an_entry_of_this_one(registry: Registry[type], other_package: None):
     assert registry.load("settings").__module__ == "tactile_base.settings"
 
