@@ -145,8 +145,12 @@ class PlaneBodies:
         motions: list[Any] = [make_motion(s, body) for s, body in zip(scenes, bodies, strict=True)]
         if not all(isinstance(motion, Pushed) for motion in motions):
             raise SettingError("fidelity plane: the body has to have the motion 'pushed'")
-        if any(getattr(motion.settings, "model", "ellipsoid") != "ellipsoid" for motion in motions):
-            raise SettingError("fidelity plane: the floor's friction has to have the model ellipsoid")
+        for s in (motion.settings for motion in motions):
+            if s.model != "ellipsoid" or s.friction_field or s.friction_speed:
+                raise SettingError(
+                    "fidelity plane: knows only a floor of model 'ellipsoid' without friction_field and "
+                    "friction_speed; choose --fidelity ideal"
+                )
 
         def each(value: Callable[[Any], Any]) -> Array:
             return math.array(np.array([value(motion) for motion in motions]))
