@@ -20,7 +20,7 @@ import os
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib.metadata import EntryPoint, EntryPoints, entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
 
 from tactile_base.contract import Contract
@@ -40,7 +40,7 @@ def _changed_ns(folder: str) -> int:
 
 
 @functools.lru_cache(maxsize=4)
-def _entry_points(folders: tuple[tuple[str, int], ...]) -> EntryPoints:
+def _entry_points(folders: tuple[tuple[str, int], ...]) -> Any:
     """Those of all groups; a search reads the metadata of every package, which takes 10 ms and more."""
     return entry_points()
 

@@ -4,8 +4,8 @@ A contact model has the six components of the contact pose, the Euler surface co
 perhaps forces. Another package adds one by an entry point of the group `tactile_servoing.contact_models`.
 
 Where all six are labelled and none goes all round, a network learns them as xi_sf, in which each mixes
-several. Otherwise it learns them one by one. What no label fixes it cannot know: that has its prior, the uniform
-distribution over its bounds, as mean and standard deviation.
+several. Otherwise it learns them one by one. What no label fixes it cannot know: that has its prior, the
+uniform distribution over its bounds, as mean and standard deviation.
 """
 
 from __future__ import annotations
@@ -186,7 +186,8 @@ class ContactModel:
         if self.forces and not set(self.forces) & set(found):
             raise SettingError(
                 f"{where}: the contact model '{self.name}' tells forces, and none of "
-                f"{', '.join(self.forces)} is labelled: take another model (--model), or name their columns (`tactile data import`)"
+                f"{', '.join(self.forces)} is labelled: take another model (--model), or name their columns "
+                "(`tactile data import`)"
             )
         return dataclasses.replace(self, labelled=found)
 
@@ -320,7 +321,7 @@ def _quantities(gamma: float, *forces: float) -> tuple[Quantity, ...]:
 
 #: Sensor on a surface; {f} has z into the surface and its origin where the sensor's center first touched.
 SURFACE = ContactModel("surface", _quantities(10.0))
-#: Sensor on a straight edge: {f} lies on it, z into the surface and x along the edge, so that y is the offset.
+#: Sensor on a straight edge: {f} lies on it, z into the surface and x along the edge; y is the offset.
 EDGE = ContactModel("edge", _quantities(180.0), required=("y", "z", "gamma"))
 #: `surface` with the force on the sensor, in {s}.
 SURFACE_FORCE = ContactModel("surface_force", _quantities(10.0, 50.0, 50.0, 100.0))

@@ -55,7 +55,8 @@ def folder_frames(folder: TactileFolder, order: NDArray[np.int64], period_s: flo
     """Images of a data folder in the given order, with their labels.
 
     A flat, fixed surface is the base here, so that a label is the sensor's pose too (the paper's filter
-    experiment), where all of it is labelled. `ImageError` from an unusable image ends the iteration; `order` leaves those out.
+    experiment), where all of it is labelled. `ImageError` from an unusable image ends the iteration; `order`
+    leaves those out.
     """
     whole = set(EULER_COMPONENTS) <= set(folder.labelled)
     for count, index in enumerate(order):

@@ -256,7 +256,7 @@ def _completed(
 ) -> Calibration:
     """The standard error of the NEES, and the correlation where it is wanted."""
     z = error / (sigma * fitted.factors(mean, sigma))
-    known = np.isfinite(z).any(axis=0)
+    known = np.atleast_1d(np.isfinite(z).any(axis=0))
     deviation_of_nees = float(np.nanmean(z[:, known] ** 2, axis=1).std() / np.sqrt(len(z)))
     correlation: tuple[tuple[float, ...], ...] = ()
     if settings.correlation:

@@ -124,8 +124,8 @@ def contact_sequence(data: EvaluationData, sigma_psi: float, seed: int) -> Conta
     drift = Drift(sigma_psi, seed)
     if not data.model.tangent or data.compared[:POSE] != tuple(range(POSE)):
         raise DatasetError(
-            f"{data.folder}: the filter's experiment needs labels of all six components, as sensor's poses, and "
-            f"networks of a surface, not of '{data.model.name}'"
+            f"{data.folder}: the filter's experiment needs labels of all six components, as sensor's poses, "
+            f"and networks of a surface, not of '{data.model.name}'"
         )
     poses = [drift(surface_contact_pose(euler)) for euler in data.euler_mm_deg[order]]
     return ContactSequence(order, data.labels[order, :POSE], np.array(poses))

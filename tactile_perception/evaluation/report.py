@@ -103,7 +103,8 @@ def calibration_table(members: Sequence[ModelResult], name: str) -> Table | None
     low, high = interval.joint_interval
     table = number_table(
         f"{name}: NEES (more than 1: overconfident) and coverage in %\n"
-        f"a right joint NEES / {len(members[0].names)} of {count} samples lies in [{low:.3f}, {high:.3f}] with 95 %",
+        f"a right joint NEES / {len(members[0].names)} of {count} samples lies in "
+        f"[{low:.3f}, {high:.3f}] with 95 %",
         ["", *members[0].names, "joint", "mean NLL"],
     )
     for state, choose in states:

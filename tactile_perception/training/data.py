@@ -162,8 +162,8 @@ def check_samples(data: RunData, config: TrainConfig) -> None:
     if config.augmentation.symmetry > 1 and not (model.tangent and set(model.forces) <= set(model.labelled)):
         why = f"{', '.join(model.unknown)} not labelled" if model.unknown else f"this is '{model.name}'"
         raise SettingError(
-            f"augmentation.symmetry = {config.augmentation.symmetry}: turning a contact on a surface needs all "
-            f"components of its label ({why}); give --set augmentation.symmetry=1"
+            f"augmentation.symmetry = {config.augmentation.symmetry}: turning a contact on a surface needs "
+            f"all components of its label ({why}); give --set augmentation.symmetry=1"
         )
     if len(data.training) < _FEWEST_SAMPLES:
         raise DatasetError(f"training data: {len(data.training)} samples, needs at least {_FEWEST_SAMPLES}")

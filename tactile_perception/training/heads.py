@@ -216,8 +216,8 @@ class MixtureHead(Head):
         if self.model.turning:
             name = self.model.quantity_names[self.model.turning[0]]
             raise SettingError(
-                f"network.head = 'mixture': the mean of two angles is none where they go all round, as {name} of "
-                f"the contact model '{self.model.name}' does; take gaussian or full_gaussian"
+                "network.head = 'mixture': the mean of two angles is none where they go all round, as "
+                f"{name} of the contact model '{self.model.name}' does; take gaussian or full_gaussian"
             )
         one = self._mean_dropouts(settings) + for_all(settings.dropout_inverse_sigma, self.model)
         return one * COMPONENTS_OF_MIXTURE + (settings.dropout_correlation,)

@@ -12,7 +12,8 @@ COV = np.array([[0.5, 0.1, 0.0], [0.1, 0.4, 0.05], [0.0, 0.05, 0.9]])
 def walk(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """A random walk and estimates of it."""
     rng = np.random.default_rng(seed)
-    true = np.cumsum(rng.normal(size=(count, 3)) * NOISE * np.sqrt(STEP_NS * 1e-9), axis=0) + [0.0, 0.0, 12.0]
+    steps = rng.normal(size=(count, 3)) * NOISE * np.sqrt(STEP_NS * 1e-9)
+    true = np.cumsum(steps, axis=0) + np.array([0.0, 0.0, 12.0])
     return true, true + rng.multivariate_normal(np.zeros(3), COV, count)
 
 

@@ -58,7 +58,7 @@ def test_a_model_that_lacks_what_it_needs_says_what():
 
 
 def test_a_gaussian_over_euler_components_is_that_over_the_pose():
-    """Against samples: Euler poses drawn from the Gaussian, and the logarithms of what they leave of the mean."""
+    """Against samples: Euler poses drawn from it, and the logarithms of what they leave of the mean."""
     rng = np.random.default_rng(3)
     mean, sigma = np.array([1.0, -2.0, 3.0, 0.2, -0.3, 2.5]), np.array([2.0, 1.0, 0.1, 0.02, 0.03, 0.05])
     found = gaussian_from_euler(mean, np.diag(sigma**2))

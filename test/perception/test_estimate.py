@@ -13,6 +13,7 @@ from folders import write_folder
 from tactile_bringup.commands import estimate as commands
 from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.estimating.contact_model import SURFACE
 from tactile_perception.estimating.estimator import Estimator, shipped_model
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.labels import (
@@ -43,7 +44,8 @@ class NoisyEstimator:
         rng = np.random.default_rng(seed)
         self._answers = iter(labels + rng.normal(size=labels.shape) / INVERSE_SIGMA)
         self.times = type("Times", (), {"preprocess": 0.0, "infer": 0.0, "convert": 0.0})()
-        self.metadata = type("Metadata", (), {"novelty": None})()
+        self.metadata = type("Metadata", (), {"novelty": None, "contact_model": SURFACE})()
+        self.force = None
 
     def estimate_processed(self, image: np.ndarray) -> PoseGaussian:
         return pose_gaussian(next(self._answers), np.diag(INVERSE_SIGMA**-2))

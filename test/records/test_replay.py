@@ -83,7 +83,10 @@ def test_a_recorded_force_is_filtered_anew_exported_and_reported(tmp_path):
         source.force(stamp_ns, mean, cov)
         assert library.step(stamp_ns, ForceGaussian(mean, cov)) == ""
         wanted.append((stamp_ns, *library.belief.mean, *library.belief.cov.ravel()))
-    assert main(["replay", str(source.write(tmp_path / "bag")), "--out", str(tmp_path / "out"), "--no-plot"]) == 0
+    assert (
+        main(["replay", str(source.write(tmp_path / "bag")), "--out", str(tmp_path / "out"), "--no-plot"])
+        == 0
+    )
     record = run_from_bag(read_bag(tmp_path / "out" / "replay"), "arm")
     found = np.column_stack([record.force.stamp_ns, record.force.force, record.force.cov.reshape(-1, 9)])
     assert np.array_equal(found, np.array(wanted)) and np.isnan(record.force.nis[[0, 20]]).all()
