@@ -13,9 +13,7 @@ from tactile_bringup.commands.changes import add_command
 
 HOST, PORT, FOXGLOVE_PORT = "127.0.0.1", 8098, 8765
 NICENESS = 10  # whoever looks must not hold up what is looked at
-OPEN_TO_OTHERS = (
-    "the page is open to whoever reaches {host}: they can start goals and change settings; see SECURITY.md"
-)
+OPEN_TO_OTHERS = "whoever has this address with its token can {do}; nothing is encrypted: see SECURITY.md"
 
 
 def register(subparsers: Any) -> None:
@@ -29,7 +27,9 @@ def register(subparsers: Any) -> None:
     ).add_argument
     add("bag", nargs="?", type=Path, metavar="BAG", help="a recording (default: the running graph)")
     add("--port", type=int, default=PORT, help=f"({PORT})")
-    add("--host", default=HOST, help="address to serve at; another than this host's lets others act, too")
+    text = "address to serve at; another than this host's lets others act, too, who have the address printed"
+    add("--host", default=HOST, help=text)
+    add("--read-only", action="store_true", help="a page that cannot act: no buttons, goals or settings")
 
 
 def _register_foxglove(subparsers: Any) -> None:
@@ -94,7 +94,8 @@ def run(arguments: argparse.Namespace) -> int:
     signals_into(signals)
     say(console, f"open {page.address} in a browser; Ctrl-C ends the page, not the arms")
     if arguments.host not in (HOST, "localhost", "::1"):
-        say(console, OPEN_TO_OTHERS.format(host=arguments.host), "yellow")
+        do = "look" if arguments.read_only or arguments.bag else "start goals and change settings"
+        say(console, OPEN_TO_OTHERS.format(do=do), "yellow")
     try:
         page.run(lambda: bool(signals))
     finally:
@@ -120,4 +121,4 @@ def _page(arguments: argparse.Namespace) -> Any:
     from tactile_view.live_page import LivePage
 
     domain, state = chosen_domain(), CellState()
-    return LivePage(LiveGraph(domain, state), state, *where)
+    return LivePage(LiveGraph(domain, state), state, *where, arguments.read_only)

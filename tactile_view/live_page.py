@@ -22,19 +22,29 @@ FIND, TRIES = 3.0, 10  # s, to find what is there; and how often
 
 
 class LivePage(Page):
-    """See the module's text; `graph` gives the messages, `hands` does what is asked for."""
+    """See the module's text; `graph` gives the messages, `hands` does what is asked for.
+
+    With `read_only` there is no element that acts, so that no message to the page can.
+    """
 
     source: LiveGraph
 
-    def __init__(self, graph: LiveGraph, state: CellState, host: str, port: int) -> None:
+    def __init__(
+        self, graph: LiveGraph, state: CellState, host: str, port: int, read_only: bool = False
+    ) -> None:
         self.hands = Hands(Operator(graph.domain_id, looks=False), self._say)
         self._domain_id, self._node = graph.domain_id, ""
         super().__init__(state, graph, None, host, port)
-        self._build_acts()
-        with self.tabs.add_tab("Settings"):
-            self._nodes = self.server.gui.add_dropdown("node", NODES)
-            self._nodes.on_update(lambda event: self._load_settings())
-            self._settings = SettingsPanel(self.server, self._set)
+        self._read_only = read_only
+        if read_only:
+            with self.top:
+                self._said = self.server.gui.add_html("")
+        else:
+            self._build_acts()
+            with self.tabs.add_tab("Settings"):
+                self._nodes = self.server.gui.add_dropdown("node", NODES)
+                self._nodes.on_update(lambda event: self._load_settings())
+                self._settings = SettingsPanel(self.server, self._set)
         self._scene: Scene | None = None  # once it is known, until it is shown
         self._tries = TRIES
         self.hands.ask(self._find_scene)
@@ -121,6 +131,8 @@ class LivePage(Page):
             self.view.set_scene(self._scene)
             self._scene = None
         super().show()
+        if self._read_only:
+            return
         node = f"/{self.arm}/{self._nodes.value}"
         if self.arm in self.state.arms and node != self._node:
             self._load_settings()

@@ -16,7 +16,7 @@ from tactile_bringup.launching.page_process import free_port
 from tactile_scene.scene import Scene
 from tactile_view.cell_state import CellState
 from tactile_view.cell_view import CellView
-from tactile_view.door import only_own_pages
+from tactile_view.door import only_own_pages, token_for
 from tactile_view.drawing import look_from
 from tactile_view.panels import BeliefPanel, MotionPanel, TouchPanel
 from tactile_view.words import events_in_words, set_html, state_in_words, troubles_in_words
@@ -41,13 +41,16 @@ class Page:
     Parameters
     ----------
     host, port : where the page is served, the next port that is free or with 0 any; a `host` other than this
-        one lets others look, and touch
+        one lets others look, and touch, who have the token in `address`
     scene : what stands in the cell; None where nobody knows
     """
 
     def __init__(self, state: CellState, source: Source, scene: Scene | None, host: str, port: int) -> None:
-        self.state, self.source = state, source
-        with only_own_pages(host), contextlib.redirect_stdout(io.StringIO()):  # we say ourselves where it is
+        self.state, self.source, self._token = state, source, token_for(host)
+        with (
+            only_own_pages(host, self._token),
+            contextlib.redirect_stdout(io.StringIO()),
+        ):  # we say ourselves where it is
             self.server = viser.ViserServer(
                 host=host, port=port or free_port(host), label="tactile_servoing", verbose=False
             )
@@ -61,7 +64,8 @@ class Page:
     @property
     def address(self) -> str:
         """What to open in a browser."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        token = f"/?token={self._token}" if self._token else ""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}{token}"
 
     def _build(self) -> None:
         gui = self.server.gui

@@ -3,6 +3,8 @@
 import asyncio
 import contextlib
 import os
+import urllib.error
+import urllib.request
 
 import pytest
 import viser
@@ -53,11 +55,17 @@ def test_no_more_pages_than_it_can_serve(page):
             for _ in range(MOST_PAGES):
                 sockets.append(await opened(page, page.address))
         assert len(sockets) == MOST_PAGES
-        extra = await opened(page, page.address)
-        with pytest.raises(websockets.ConnectionClosed) as closed:
-            while True:
-                await asyncio.wait_for(extra.recv(), 10.0)
-        assert "pages are open already" in str(closed.value)
+
+        async def refused() -> str:
+            extra = await opened(page, page.address)
+            with pytest.raises(websockets.ConnectionClosed) as closed:
+                while True:
+                    await asyncio.wait_for(extra.recv(), 30.0)
+            return str(closed.value)
+
+        for _ in range(20):  # 1000 in all
+            said = await asyncio.gather(*(refused() for _ in range(50)))
+            assert all("pages are open already" in each for each in said)
         for socket in sockets:
             await socket.close()
 
@@ -73,5 +81,66 @@ def test_garbage_ends_a_connection_and_not_the_page(page):
                     await asyncio.sleep(0.1)
         async with await opened(page, page.address) as socket:
             assert await asyncio.wait_for(socket.recv(), 10.0)
+
+    asyncio.run(run())
+
+
+@pytest.fixture(scope="module")
+def open_page(tmp_path_factory):
+    """One that other hosts can reach."""
+    state = CellState()
+    recording = Recording(record(tmp_path_factory.mktemp("open") / "bag", 1.0), state)
+    page = RecordingPage(recording, state, None, "0.0.0.0", 0)
+    yield page
+    page.close()
+
+
+def fetched(url: str, cookie: str = "") -> tuple[int, str]:
+    """Status, and the cookie that comes with the answer."""
+    request = urllib.request.Request(url, headers={"Cookie": cookie} if cookie else {})
+    try:
+        with urllib.request.urlopen(request, timeout=10.0) as response:
+            return response.status, str(response.headers["Set-Cookie"])
+    except urllib.error.HTTPError as error:
+        return error.code, ""
+
+
+async def socket_with(page, cookie: str):
+    place = f"127.0.0.1:{page.server.get_port()}"
+    return await websockets.connect(
+        f"ws://{place}", origin=f"http://{place}", subprotocols=[f"viser-v{viser.__version__}"],
+        additional_headers={"Cookie": cookie} if cookie else {},
+    )  # fmt: skip
+
+
+def test_a_page_of_this_host_alone_has_no_token(page):
+    assert "token" not in page.address and fetched(page.address)[0] == 200
+
+
+def test_what_others_can_reach_opens_with_the_token_of_its_address_and_the_cookie_it_leaves(open_page):
+    status, cookie = fetched(open_page.address)
+    assert status == 200 and "HttpOnly" in cookie and "SameSite=Strict" in cookie
+    kept = cookie.split(";")[0]
+    assert fetched(open_page.address.split("?")[0], f"other=1; {kept}")[0] == 200
+
+    async def run():
+        async with await socket_with(open_page, kept) as socket:
+            assert await asyncio.wait_for(socket.recv(), 10.0)
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize("wrong", ["", "?token=", "?token=guessed", "assets/index.js", "?token=%ff"])
+def test_without_the_token_there_is_not_even_a_file_of_it(open_page, wrong):
+    assert fetched(open_page.address.split("?")[0] + wrong)[0] == 403
+
+
+@pytest.mark.parametrize(
+    "cookie", ["", "tactile_view_{port}=guessed", "tactile_view_{port}", ";;=;", "a b\\"]
+)
+def test_a_socket_without_the_token_is_refused(open_page, cookie):
+    async def run():
+        with pytest.raises(websockets.InvalidStatus, match="403"):
+            await socket_with(open_page, cookie.format(port=open_page.server.get_port()))
 
     asyncio.run(run())
