@@ -56,11 +56,13 @@ class Progress:
         self._tasks: dict[str, Task] = {}
 
     def __enter__(self: P) -> P:
-        self._bars.start()
+        if self._live:  # else rich before 14 ends with an empty line
+            self._bars.start()
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._bars.stop()
+        if self._live:
+            self._bars.stop()
 
     def say(self, text: str, style: str | None = None) -> None:
         """A line that stays."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -89,6 +90,7 @@ def _viewed(bag: OfflineBag, folder: Path, delivered: Callable[[Log], int]) -> i
         say(console, f"page: {page.address}, in a few seconds")
         with bag:
             code = delivered(bag.log)
+        sys.stdout.flush()  # what came of it is told while the page is open
         say(console, f"the run stays on {page.address}; Ctrl-C ends the page")
         with contextlib.suppress(KeyboardInterrupt):
             page.process.wait()

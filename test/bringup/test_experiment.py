@@ -130,7 +130,7 @@ def test_the_number_of_a_trial_draws_the_place_and_that_of_its_five_the_floor():
 
 def test_objects_and_floors_draw_each_their_own():
     draws = [draw(name, floor, 0) for name in ("red_square", "blue_circle") for floor in ("foam", "mdf")]
-    assert len({value for each in draws for value in each}) == 20
+    assert len({value for each in draws for value in each}) == 24
     assert not draw("red_square", "foam", None).any()
 
 

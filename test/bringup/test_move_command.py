@@ -66,7 +66,7 @@ def test_to_the_start_of_the_scene(asked):
     assert goal.goal.position == pytest.approx((0.3, 0.0, 0.3))
     assert [abs(angle) for angle in goal.goal.rotation_deg] == pytest.approx([180.0, 0.0, 0.0])
     given = graph.node("/arm/controller").parameters
-    assert (given["task"], given["travel.speed"]) == ("move", 0.03)
+    assert (given["task_name"], given["travel.speed"]) == ("move", 0.03)
 
 
 def test_a_goal_of_a_task_file_is_checked_as_well(tmp_path, capsys):

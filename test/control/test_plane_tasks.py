@@ -34,8 +34,8 @@ def test_the_pid_of_many_is_that_of_one():
         active = step >= begins
         found = array.step(error, dt, active, integrates)
         for k in np.flatnonzero(active):
-            one = pids[k].update(round((step + 1) * dt * 1e9), error[:, k], not integrates[k])
-            np.testing.assert_allclose(found[:, k], one.feedback, atol=1e-7)
+            one, *_ = pids[k].update(round((step + 1) * dt * 1e9), error[:, k], not integrates[k])
+            np.testing.assert_allclose(found[:, k], one, atol=1e-7)
 
 
 def test_steering_of_many_is_that_of_one():

@@ -12,6 +12,7 @@ from tactile_records.runs.metrics import REPORT_FIELDS, report, strongest_sinuso
 from tactile_records.runs.record import (
     BeliefSeries,
     CommandSeries,
+    ForceSeries,
     GaussianSeries,
     PoseSeries,
     RunRecord,
@@ -163,7 +164,12 @@ def flattened(values, prefix=""):
 
 
 def test_the_report_has_the_documented_names_and_no_others(tmp_path):
-    values = written(made_up(), tmp_path / "report.json")
+    record = made_up()
+    n = len(record.belief)
+    record.force = ForceSeries(
+        record.belief.stamp_ns, np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)), np.ones(n)
+    )
+    values = written(record, tmp_path / "report.json")
     assert json.loads((tmp_path / "report.json").read_text()) == {**values, "settings": {}, "origin": {}}
     patterns = {name: re.compile(re.escape(name).replace(r"\*", "[a-z_0-9]+")) for name in REPORT_FIELDS}
     names = list(flattened(values))

@@ -118,7 +118,7 @@ def test_long_texts_are_cut_where_they_are_sent_and_refused_where_they_come():
 def test_numbers_are_found_by_the_name_of_their_field():
     reader, message = HeadedReader(ContactState), filled(ContactState, 4)[0]
     _, _, numbers = reader(serialize_message(message))
-    assert numbers[reader.index("flags")] == message.flags
+    assert numbers[reader.place("flags")] == (message.flags,)
     for name in ("xi", "covariance", "euler"):
         assert list(numbers[reader.place(name)]) == list(getattr(message, name))
     assert numbers[reader.place("latency")] == (message.latency.sec, message.latency.nanosec)

@@ -14,7 +14,6 @@ from tactile_view.cell_state import CellState  # noqa: E402
 from tactile_view.live import LiveGraph  # noqa: E402
 from tactile_view.live_page import LivePage  # noqa: E402
 
-
 #: What makes a client known: its view of the scene.
 VIEW = {
     "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (1.0, 0.0, 0.0), "fov": 1.0,
