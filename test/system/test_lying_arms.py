@@ -1,8 +1,8 @@
 """Whole tasks on arms whose drivers lie, and what comes of it by the simulated cell's own truth."""
 
 import pytest
-from branches import branch
 
+from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_doubles.lying_arm import LyingArm
 
 FOLLOWING, APPROACHING = 7.0, 2.5  # s, of the plane's run
@@ -28,8 +28,8 @@ GOES_ON = ("moves_by_itself",)  # nothing here can stop it
 @pytest.mark.parametrize("begins", [APPROACHING, FOLLOWING], ids=["approaching", "following"])
 @pytest.mark.parametrize("name", SAYS)
 def test_a_task_on_an_arm_that_lies_fails_and_the_arm_rests_before_much_comes_of_it(name, begins):
-    lies, records = branch("plane", "surface_following", "ideal", begins, LyingArm, name, begins)
-    record = records["arm"]
+    lies = LyingArm(name, begins)
+    record = run_arms_offline("plane", options=OfflineOptions(fidelity="ideal", lies=lies))["arm"]
     assert not record.result["succeeded"] and SAYS[name] in record.result["reason"]
     truth = lies.witness["arm"]
     seconds, way = WITHIN.get(name, (0.25, 0.004))
@@ -40,8 +40,8 @@ def test_a_task_on_an_arm_that_lies_fails_and_the_arm_rests_before_much_comes_of
 
 @pytest.mark.parametrize("name", [name for name in SAYS if name not in GOES_ON])
 def test_a_push_on_an_arm_that_lies_ends_and_presses_no_deeper(name):
-    lies, records = branch("pushing", "pushing", "ideal", 8.0, LyingArm, name, 8.0)
-    record = records["arm"]
+    lies = LyingArm(name, begins=8.0)
+    record = run_arms_offline("pushing", "pushing", OfflineOptions(fidelity="ideal", lies=lies))["arm"]
     assert not record.result["succeeded"] and SAYS[name] in record.result["reason"]
     assert lies.witness["arm"].deepest < 0.0035  # the honest push is 2.1 mm deep
 
@@ -49,7 +49,8 @@ def test_a_push_on_an_arm_that_lies_ends_and_presses_no_deeper(name):
 @pytest.mark.parametrize("liar", ["leader", "follower"])
 @pytest.mark.parametrize("name", ["moves_sideways", "servo_off", "loses_commands", "frozen_pose"])
 def test_where_two_arms_hold_an_object_both_rest_and_it_is_not_crushed(name, liar):
-    lies, records = branch("dual_pushing", "dual_pushing", "ideal", 9.0, LyingArm, name, 9.0, liar)
+    lies = LyingArm(name, begins=9.0, arm=liar)
+    records = run_arms_offline("dual_pushing", "dual_pushing", OfflineOptions(fidelity="ideal", lies=lies))
     assert not records[liar].result["succeeded"]
     assert all(truth.rests_since < 4.0 for truth in lies.witness.values())  # the other one retreats
     assert all(truth.deepest < 0.0061 for truth in lies.witness.values())  # 5.5 mm in an honest push

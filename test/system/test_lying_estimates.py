@@ -6,7 +6,6 @@ the arms rest, and what is said.
 
 import numpy as np
 import pytest
-from branches import branch
 
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_control.task_file import load_task, task_path
@@ -23,27 +22,18 @@ DEEP = 6.0  # mm, of which no tip may be deeper
 EVERY_COVARIANCE = [f"covariance {name}" for name in REFUSED_COVARIANCES]
 
 
-def lying(name, begins, arm):
-    return LYING_ESTIMATES[name](begins, arm)
-
-
 def lied_to(scene, lie, fidelity="fitted", arm=None, begins=None, seed=0):
     """Records by arm of a run with that lie, and the stamp of its beginning."""
     begins = BEGINS.get(scene, 8.0) if begins is None else begins
-    run = scene, TASKS.get(scene, "surface_following"), fidelity, begins
-    liar = arm or LIAR.get(scene, "arm")
-    lies, records = branch(*run, lying, lie, begins, liar, seed=seed, goals=GOALS.get(scene, ()))
-    return records, lies.begins_ns
-
-
-def agrees(self, percept, limit):
-    return percept
+    lies = LYING_ESTIMATES[lie](begins, arm or LIAR.get(scene, "arm"))
+    options = OfflineOptions(fidelity=fidelity, seed=seed, goals=GOALS.get(scene, ()), lies=lies)
+    return run_arms_offline(scene, TASKS.get(scene, "surface_following"), options), lies.begins_ns
 
 
 @pytest.fixture
 def any_plain_depth(monkeypatch):
     """Estimates are not held against the brightness of images: other checks have to do without."""
-    monkeypatch.setattr(DepthAgreement, "__call__", agrees)
+    monkeypatch.setattr(DepthAgreement, "__call__", lambda self, percept, limit: percept)
 
 
 def depth_mm(record, begin_ns=0, end_ns=2**62):
@@ -200,17 +190,14 @@ def test_the_brightness_of_images_ends_tracking_whose_depth_nothing_else_contrad
     assert "protective stop" not in records["follower"].result["reason"]
 
 
-def not_carried():
-    return load_task(
-        task_path("object_tracking"), "tracking_flat", changes=["follower.surface.carried=false"]
-    )
-
-
 def moved_by_a_person(lie, seed):
     """Of an object that nobody says how it moves: deepest in mm, and how it ended."""
-    run = "tracking_flat", not_carried, "fitted", 8.0
-    lies, records = branch(*run, lying, lie, 8.0, "follower", seed=seed)
-    record = records["follower"]
+    task = load_task(
+        task_path("object_tracking"), "tracking_flat", changes=["follower.surface.carried=false"]
+    )
+    lies = LYING_ESTIMATES[lie](8.0, "follower")
+    options = OfflineOptions(fidelity="fitted", seed=seed, lies=lies)
+    record = run_arms_offline("tracking_flat", task, options)["follower"]
     return depth_mm(record, lies.begins_ns).max(), record.result["reason"]
 
 
