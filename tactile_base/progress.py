@@ -82,11 +82,11 @@ class Progress:
 
         Parameters
         ----------
-        done, total : none: nobody knows how much there is, and what is done does not count for the pace
+        done, total : None: nobody knows how much there is, and what is done does not count for the pace
         unit : what is counted, as "images"; without one a percentage is shown
         state : what is going on in a word; where there is no terminal, a change of it is a line of its own
         text : numbers worth watching
-        seconds_left : naN: unknown. Default: by the pace since the first update with a total.
+        seconds_left : NaN: unknown; default: by the pace since the first update with a total
         """
         if what not in self._tasks:
             self._bars.add_task(what, total=None, text="", state="", line_s=time.monotonic())

@@ -12,11 +12,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, cast
 
 import foxglove
-from rclpy.qos import DurabilityPolicy
 
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_ros.conversions import message_class
-from tactile_ros.qos import viewer_profile
+from tactile_ros.qos import TF_STATIC, viewer_profile
 from tactile_wire.errors import DefinitionDamaged, DefinitionMissing
 from tactile_wire.message_definitions import message_definition
 
@@ -91,7 +90,8 @@ class FoxgloveBridge(GraphClient):
         """Hear a topic while it has readers, and one that is said once anew for each of them."""
         self._readers[topic] = self._readers.get(topic, 0) + more
         heard = self._heard.get(topic)
-        if heard is not None and (self._readers[topic] <= 0 or (more > 0 and _is_latched(heard))):
+        latched = heard is not None and heard.qos_profile.durability == TF_STATIC.durability
+        if heard is not None and (self._readers[topic] <= 0 or (more > 0 and latched)):
             self._node.destroy_subscription(self._heard.pop(topic))
         if self._readers[topic] > 0 and topic not in self._heard:
             self._heard[topic] = self._node.create_subscription(
@@ -101,7 +101,3 @@ class FoxgloveBridge(GraphClient):
                 viewer_profile(self._node.get_publishers_info_by_topic(topic)),
                 raw=True,
             )
-
-
-def _is_latched(subscription: Any) -> bool:
-    return bool(subscription.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)

@@ -17,13 +17,20 @@ from tactile_view.recording import Recording
 from tactile_view.recording_page import RecordingPage
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory):
+@contextlib.contextmanager
+def served(folder, host):
+    """A page of a short recording."""
     state = CellState()
-    recording = Recording(record(tmp_path_factory.mktemp("page") / "bag", 1.0), state)
-    page = RecordingPage(recording, state, None, "127.0.0.1", 0)
+    recording = Recording(record(folder / "bag", 1.0), state)
+    page = RecordingPage(recording, state, None, host, 0)
     yield page
     page.close()
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    with served(tmp_path_factory.mktemp("page"), "127.0.0.1") as page:
+        yield page
 
 
 async def opened(page, origin: str):
@@ -88,11 +95,8 @@ def test_garbage_ends_a_connection_and_not_the_page(page):
 @pytest.fixture(scope="module")
 def open_page(tmp_path_factory):
     """One that other hosts can reach."""
-    state = CellState()
-    recording = Recording(record(tmp_path_factory.mktemp("open") / "bag", 1.0), state)
-    page = RecordingPage(recording, state, None, "0.0.0.0", 0)
-    yield page
-    page.close()
+    with served(tmp_path_factory.mktemp("open"), "0.0.0.0") as page:
+        yield page
 
 
 def fetched(url: str, cookie: str = "") -> tuple[int, str]:
