@@ -48,10 +48,12 @@ class Stopped:
     ----------
     seconds : until it was at rest, by the stamps of its states; inf: it was not
     way : that it still went, m
+    gap : the longest between two of its states meanwhile, as they came here, s
     """
 
     seconds: float
     way: float
+    gap: float
 
 
 class StagedArm:
@@ -129,12 +131,14 @@ class StagedArm:
 
     def rest_since(self, since_ns: int) -> Stopped:
         """How it came to rest since then (ns): the stamp from which on its twist is zero, and the way."""
-        states = [state for _, state in list(self.states)]  # more come meanwhile
+        came = list(self.states)  # more come meanwhile
+        states = [state for _, state in came]
+        gaps = np.diff([at for at, _ in came if at >= since_ns], prepend=since_ns) / SECOND_NS
         later = [state for state in states if state.stamp_ns >= since_ns]
         moving = [state.stamp_ns for state in later if not is_at_rest(state.twist)]
         rests = bool(later) and is_at_rest(later[-1].twist)
         seconds = (max(moving, default=since_ns) - since_ns) / SECOND_NS if rests else np.inf
-        return Stopped(seconds, _way(states, since_ns))
+        return Stopped(seconds, _way(states, since_ns), float(gaps.max(initial=0.0)))
 
 
 def _way(states: list[ArmState], since_ns: int) -> float:

@@ -2,10 +2,14 @@
 
 import sys
 
+import numpy as np
 import pytest
 from other_package import installed
 
 from tactile_bringup import arm_check, cli
+from tactile_bringup.findings import FAILED, LOOK, OK
+from tactile_bringup.staged_arm import Stopped
+from tactile_scene.scene_file import load_scene
 
 pytestmark = pytest.mark.live  # it measures times
 
@@ -110,3 +114,17 @@ def test_what_is_wrong_is_said(check, settings, more, options, words):
 def test_a_simulated_arm_has_no_driver_to_check(capsys):
     assert cli.main(["arm", "check", "--scene", "plane"]) == 2
     assert "'arm' has no driver of its own, but 'sim'" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    "seconds, way, gap, verdict",
+    [
+        (0.1, 0.5e-3, 0.002, OK),
+        (0.1, 1.15e-3, 0.04, LOOK),
+        (0.1, 1.15e-3, 0.002, FAILED),
+        (np.inf, 0.5e-3, 0.04, FAILED),
+    ],
+)
+def test_a_stop_that_took_too_long_failed_unless_the_computer_was_held_up(seconds, way, gap, verdict):
+    arm = load_scene("ur_example").arms["arm"]
+    assert arm_check.judge_stop(arm, "stop", Stopped(seconds, way, gap), 0.011).verdict == verdict

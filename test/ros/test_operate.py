@@ -180,7 +180,8 @@ def test_parameters_are_shown_with_range_and_meaning_and_set(tactile):
     assert tactile.graph.get_parameter("controller", "task.speed") == 0.012
     assert "did you mean" in tactile("set", "/arm/controller", "task.sped=0.01", code=1)
     assert "/arm/controller" in tactile("get", "/arm/contoller", code=1)
-    assert "/arm/filter" in tactile("get")
+    listed = (tactile("get") for _ in range(3))  # nodes are found one by one, slowly on a busy machine
+    assert any("/arm/filter" in names for names in listed)
 
 
 def test_a_stop_says_so_where_the_arms_node_stands_still(tactile):

@@ -69,9 +69,12 @@ class Opened:
         return self.page.get_by_text(name, exact=True).locator("xpath=ancestor::*[.//input][1]").first
 
     def choose(self, name: str, option: str) -> None:
-        """Another value of a list to choose from."""
-        self.row(name).locator("input").first.click()
-        self.page.get_by_role("option", name=option).click()
+        """Another value of a list to choose from.
+
+        As events, not at a place: the page grows while nodes are found, which moves what lies there.
+        """
+        self.row(name).locator("input").first.dispatch_event("click")
+        self.page.get_by_role("option", name=option).dispatch_event("click")
 
     def images(self) -> str:
         """What the images of the page hold now."""
