@@ -345,7 +345,7 @@ def _recorder(
         "scene": scene.name + " (rehearsed)" * options.rehearse,
         "scene_file": str(scene.path.absolute()),
         "seed": str(options.seed),
-        "roles": json.dumps({plan.arm: role_note(plan, scene.arms[plan.arm]) for plan in plans}),
+        "roles": json.dumps({plan.arm: role_note(plan, scene) for plan in plans}),
         "parameters": json.dumps({node.full_name: node.parameters for node in nodes}),
         "origin": json.dumps(origin()),
     }
@@ -358,8 +358,9 @@ def _recorder(
     return _node(RECORDER, "/", parameters)
 
 
-def role_note(plan: ArmPlan, arm: ArmScene) -> dict[str, Any]:
+def role_note(plan: ArmPlan, scene: Scene) -> dict[str, Any]:
     """What is kept with a recording of what an arm was to do."""
+    arm = scene.arms[plan.arm]
     return {
         "role": plan.role.name,
         "task": plan.role.task,
@@ -367,6 +368,7 @@ def role_note(plan: ArmPlan, arm: ArmScene) -> dict[str, Any]:
         "targets": _known(plan.targets),
         "directions": _known(plan.directions),
         "T_world_base": arm.T_world_base.tolist(),
+        "T_controlled_sensor": scene.T_controlled_sensor(plan.arm).tolist(),
         "tip_radius": arm.sensor.settings.tip_radius if arm.sensor is not None else 0.0,
     }
 

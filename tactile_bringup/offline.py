@@ -290,6 +290,7 @@ class _OfflineArm:
                 targets=plan.targets,
                 directions=plan.directions,
                 T_world_base=scene.arms[plan.arm].T_world_base,
+                T_controlled_sensor=scene.T_controlled_sensor(plan.arm),
                 loose=loose_outline(scene, plan.arm),
                 surface=surface_mesh(scene, plan.arm),
                 settings=_given(plan.role.settings, options),

@@ -66,7 +66,7 @@ class OfflineBag:
             "scene": scene.name,
             "scene_file": str(scene.path.absolute()),
             "seed": str(seed),
-            "roles": json.dumps({plan.arm: role_note(plan, scene.arms[plan.arm]) for plan in plans}),
+            "roles": json.dumps({plan.arm: role_note(plan, scene) for plan in plans}),
             "origin": json.dumps(origin()),
         }
         told = [topic.of(plan.arm) for plan in plans for topic in _OF_ARM]

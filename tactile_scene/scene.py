@@ -205,6 +205,16 @@ class Scene:
         names = sensor.settings.touches or [name for name in self.bodies if name not in own]
         return {name: self.bodies[name] for name in names}
 
+    def T_controlled_sensor(self, arm: str) -> Array:
+        """Where an arm's sensor is in truth, (4, 4), in the frame that is controlled as the sensor's.
+
+        The identity, unless a simulated one stands elsewhere in its tool (`SimulatedSensor.in_tool`).
+        """
+        simulated = self.simulation.sensors.get(arm)
+        if simulated is None or not simulated.in_tool:
+            return np.eye(4)
+        return se3.inverse(self.arms[arm].T_tool_controlled) @ se3.pose_from_euler(simulated.in_tool)
+
     def T_world_body(self, body: str) -> Array:
         """Where a body is at the start, in the world (4, 4)."""
         scene = self.bodies[body]

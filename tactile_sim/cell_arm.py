@@ -68,8 +68,7 @@ class CellArm:
                 )
             self.sensor = Sensor(sensor, seed, view)
             if sensor.in_tool:
-                T_tool_sensor = se3.pose_from_euler(sensor.in_tool)
-                self._T_said_sensor = se3.inverse(arm.T_tool_controlled) @ T_tool_sensor
+                self._T_said_sensor = scene.T_controlled_sensor(arm.name)
             self._ticks_per_frame = round(scene.simulation.rate / arm.sensor.settings.camera_rate)
             self._protective_depth = arm.sensor.settings.protective_depth
             touchable = [bodies[name] for name in scene.bodies_of(arm.name)]

@@ -39,6 +39,10 @@ class Pose:
     turn: Array
     height: Array
 
+    def shifted(self, way: Array, turn: Array, math: ArrayMath) -> Pose:
+        """Those that stand at a way (N,) in these, ahead + i left, and turned by so much."""
+        return Pose(self.at + math.exp(1j * self.turn) * way, self.turn + turn, self.height)
+
 
 @dataclass
 class Seen:
@@ -265,7 +269,7 @@ class PlaneCell:
     """
 
     def __init__(self, scenes: Sequence[Scene], seeds: Sequence[int], math: ArrayMath) -> None:
-        scene = scenes[0]
+        self._math, scene = math, scenes[0]
         self.dt = 1.0 / scene.simulation.rate
         pushed = [next(body for body in each.bodies.values() if body.motion == MOTION) for each in scenes]
         self.bodies = PlaneBodies(scenes, pushed, math)
@@ -275,6 +279,8 @@ class PlaneCell:
             PlaneSensor([_model(each, name) for each in scenes], own[:, k].tolist(), self.bodies, math)
             for k, name in enumerate(scene.arms)
         ]
+        apart = np.array([[_apart(each, name) for each in scenes] for name in scene.arms])
+        self._apart = [(math.array(way), math.array(turn.real)) for way, turn in np.moveaxis(apart, 2, 1)]
         self.frame_ticks = [
             round(scene.simulation.rate / arm.sensor.settings.camera_rate)
             for arm in scene.arms.values()
@@ -287,7 +293,7 @@ class PlaneCell:
         self.ticks += 1
         for arm in self.arms:
             arm.advance(self.dt)
-        poses = [(arm.pose.at, arm.pose.turn, arm.pose.height) for arm in self.arms]
+        poses = [(pose.at, pose.turn, pose.height) for pose in map(self.sensor_pose, range(len(self.arms)))]
         self.bodies.step([sensor.tips for sensor in self.sensors], poses)
 
     def exposure_due(self, arm: int) -> bool:
@@ -296,15 +302,29 @@ class PlaneCell:
 
     def expose(self, arm: int) -> Seen:
         """Expose the sensors of an arm."""
-        return self.sensors[arm].expose(self.arms[arm].pose)
+        return self.sensors[arm].expose(self.sensor_pose(arm))
+
+    def sensor_pose(self, arm: int) -> Pose:
+        """Where the sensors of an arm are in truth."""
+        return self.arms[arm].pose.shifted(*self._apart[arm], self._math)
 
 
 def _model(scene: Scene, arm: str) -> IdealSensorSettings:
-    """The ideal sensor of an arm; `SettingError` where it is another, or not where the scene says."""
+    """The ideal sensor of an arm; `SettingError` where it is another, or late."""
     sensor = scene.simulation.sensors.get(arm)
-    if sensor is None or type(sensor.model) is not IdealSensorSettings or sensor.in_tool or sensor.delay:
+    if sensor is None or type(sensor.model) is not IdealSensorSettings or sensor.delay:
         raise SettingError(
-            f"fidelity plane: arm '{arm}' has to have a sensor that is simulated, without delay and where "
-            "the scene says"
+            f"fidelity plane: arm '{arm}' has to have a sensor that is simulated, without delay"
         )
     return sensor.model
+
+
+def _apart(scene: Scene, arm: str) -> tuple[complex, complex]:
+    """Where an arm's sensor is in truth, in the one that the scene tells of: way and turn.
+
+    Raises `SettingError` where the one is turned or moved out of the plane of the other.
+    """
+    T = scene.T_controlled_sensor(arm)
+    if abs(T[0] - [1.0, 0.0, 0.0, 0.0]).max() > 1e-9:
+        raise SettingError(f"fidelity plane: the sensor of arm '{arm}' is not level in truth")
+    return complex(T[2, 3], T[1, 3]), complex(np.arctan2(T[1, 2], T[2, 2]))

@@ -133,7 +133,9 @@ class Pushed:
         if s.friction_field > 0.0:
             self._field = FloorField(s.friction_field, s.friction_field_length, s.friction_field_seed)
             self._under = model[1] if s.model == "points" else even_points(self.foot)
-        self._T_tool_sensor = {name: arm.T_tool_controlled for name, arm in scene.arms.items()}
+        self._T_tool_sensor = {
+            name: arm.T_tool_controlled @ scene.T_controlled_sensor(name) for name, arm in scene.arms.items()
+        }
         self._T = scene.T_world_body(body.name).copy()
         self._weight = s.mass * -GRAVITY[2]
         self._tips: dict[str, tuple[int, bytes]] = {}  # by arm, stamp of the exposure and what C keeps of it

@@ -161,6 +161,7 @@ class _Arm:
             raise SettingError(f"fidelity plane: it knows no task {plan.role.task}")
         self.filter = PlaneFilter(setup.options.filter, run.cell.sensors[index].sigma, math)
         self.seen: Seen | None = None
+        self.stated = run.cell.arms[index].pose  # of that exposure, as the arm says
         self.belief: PlaneBelief | None = None
         self._queue: deque[tuple[int, PlaneBelief]] = deque()
         self._stepped = 0
@@ -179,8 +180,8 @@ class _Arm:
 
     def expose(self) -> None:
         """An exposure through the filter, on its way to the task."""
-        self.seen = self.run.cell.expose(self.index)
-        self.belief = self.filter.observe(self.seen, self.seen.pose)
+        self.seen, self.stated = self.run.cell.expose(self.index), self.run.cell.arms[self.index].pose
+        self.belief = self.filter.observe(self.seen, self.stated)
         self._queue.append((self.run.cell.ticks, self.belief))
 
 
@@ -215,13 +216,14 @@ class _Numbers:
         works = task.working & ~task.over
         touches = works & seen.present
         way = 1e3 * (task.target - seen.pose.at)
-        axis, believed = (math.exp(1j * turn) for turn in (seen.pose.turn, seen.pose.turn + belief.turn))
+        stated = run.pusher.stated
+        axis, believed = (math.exp(1j * turn) for turn in (seen.pose.turn, stated.turn + belief.turn))
         bodies = run.cell.bodies
         goes_on = self.sums["rows"] > 0.0
         self.turn = bodies.turn if self.turn is None else math.where(goes_on, self.turn, bodies.turn)
         now = {
             "error_mm": cross(seen.normal, way),
-            "error_believed_mm": cross(believed, way),
+            "error_believed_mm": cross(believed, 1e3 * (task.target - stated.at)),
             "error_axis_mm": cross(axis, way),
             "distance_mm": abs(way),
             "body_turned_deg": np.degrees(1.0) * (bodies.turn - self.turn),

@@ -20,6 +20,8 @@ from tactile_sim.pushing_scene import MOTION, PushedProfiles, PushVariation, pus
 
 Value = float | str
 
+DEG = np.pi / 180.0
+
 
 @dataclass(frozen=True)
 class Setup:
@@ -144,12 +146,25 @@ def _sensors(setup: Setup, change: Callable[[str, SimulatedSensor], SimulatedSen
     return replace(setup, scene=replace(setup.scene, simulation=simulation))
 
 
-def _contact_angle(setup: Setup, degrees: float) -> Setup:
-    """The sensor of the arm that pushes stands turned in its tool, which nothing knows of."""
-    first = next(iter(setup.scene.arms.values()))
-    turn = se3.pose_from_euler([0, 0, 0, -np.radians(degrees), 0, 0])  # x points down
-    in_tool = tuple(map(float, se3.euler_from_pose(first.T_tool_controlled @ turn)))
-    return _sensors(setup, lambda name, old: replace(old, in_tool=in_tool) if name == first.name else old)
+def _misplaced(arm: int, x: int, unit: float) -> Callable[[Setup, float], Setup]:
+    """The sensor of an arm stands elsewhere in its tool, which nothing knows of: by so much along x, y, ...
+
+    Turns are to the left: its x-axis points down.
+    """
+
+    def change(setup: Setup, value: float) -> Setup:
+        arms = list(setup.scene.arms.values())
+        if arm >= len(arms):
+            raise SettingError(f"the scene has no arm that follows: {setup.scene.path}")
+        chosen, by = arms[arm], np.zeros(6)
+        by[x] = unit * value
+        T = chosen.T_tool_controlled @ setup.scene.T_controlled_sensor(chosen.name)
+        in_tool = tuple(map(float, se3.euler_from_pose(T @ se3.pose_from_euler(by))))
+        return _sensors(
+            setup, lambda name, old: replace(old, in_tool=in_tool) if name == chosen.name else old
+        )
+
+    return change
 
 
 def _pin_wear(setup: Setup, part: float) -> Setup:
@@ -198,7 +213,10 @@ VARIABLES = {
     "friction_field": Variable("deviation of friction over the floor, over it", _variation("friction_field")),
     "friction_field_length": Variable("length of that field [mm]", _variation("friction_field_length", 1e-3)),
     "friction_speed": Variable("part of friction for each tenfold of speed", _variation("friction_speed")),
-    "contact_angle": Variable("sensor turned in its tool to the left [deg]", _contact_angle),
+    "contact_angle": Variable("sensor turned in its tool to the left [deg]", _misplaced(0, 3, -DEG)),
+    "contact_offset": Variable("sensor shifted in its tool to the left [mm]", _misplaced(0, 1, 1e-3)),
+    "follower_angle": Variable("the other arm's sensor turned to the left [deg]", _misplaced(1, 3, -DEG)),
+    "follower_offset": Variable("the other arm's sensor shifted to the left [mm]", _misplaced(1, 1, 1e-3)),
     "pin_wear": Variable("part of the pins worn off", _pin_wear),
     "offset": Variable("object to the side at the start [mm]", _variation("offset", 1e-3)),
     "angle": Variable("object turned at the start [deg]", _variation("turn_deg")),

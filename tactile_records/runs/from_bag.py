@@ -80,6 +80,7 @@ def run_from_bag(bag: Bag, arm: str) -> RunRecord:
         targets=_rows_of_three(role.get("targets", [])),
         directions=_rows_of_three(role.get("directions", [])),
         T_world_base=np.array(role.get("T_world_base", np.eye(4).tolist())),
+        T_controlled_sensor=np.array(role.get("T_controlled_sensor", np.eye(4).tolist())),
     )
     for stream, (topic, row) in STREAMS.items():
         setattr(record, stream, rows.series(type(getattr(record, stream)), topic, row))

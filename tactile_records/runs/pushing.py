@@ -84,9 +84,10 @@ class Contacts:
         return along[:, 0] * way[:, 1] - along[:, 1] * way[:, 0]
 
 
-def contacts(record: RunRecord, stamp_ns: Array, X_fs: Array) -> Contacts:
-    """Contacts of an arm with these contact poses (N, 4, 4) at these stamps."""
+def contacts(record: RunRecord, stamp_ns: Array, X_fs: Array, true: bool = False) -> Contacts:
+    """Contacts of an arm with these contact poses (N, 4, 4) at these stamps; of the `true` sensor."""
     T = record.T_world_base @ record.pose.at(stamp_ns)
+    T = T @ record.T_controlled_sensor if true else T
     inward = np.einsum("nij,nj->ni", T[:, :3, :3], X_fs[:, 2, :3])  # {f}'s z axis in the world
     return Contacts(
         stamp_ns,
@@ -105,7 +106,7 @@ def _from_above(v: Array) -> Array:
 def true_contacts(record: RunRecord) -> Contacts:
     """While at work and in contact, by the simulation's truth."""
     rows = record.truth.rows(record.working(record.truth.stamp_ns) & record.truth.in_contact)
-    return contacts(record, *_within(record, rows.stamp_ns, rows.T_fs))
+    return contacts(record, *_within(record, rows.stamp_ns, rows.T_fs), true=True)
 
 
 def believed_contacts(record: RunRecord) -> Contacts:
@@ -300,7 +301,7 @@ def _meanwhile(record: RunRecord, other: RunRecord) -> Contacts:
     """The contacts of another arm while this one is at work."""
     truth = other.truth.rows(record.working(other.truth.stamp_ns) & other.truth.in_contact)
     if len(truth):
-        return contacts(other, *_within(other, truth.stamp_ns, truth.T_fs))
+        return contacts(other, *_within(other, truth.stamp_ns, truth.T_fs), true=True)
     belief = other.belief.rows(record.working(other.belief.stamp_ns))
     return contacts(other, *_within(other, belief.stamp_ns, inverses(belief.mean)))
 

@@ -211,6 +211,8 @@ class RunRecord:
     directions : ndarray (G, 3)
         Direction in the base in which each goal is to end, of any length; NaN for one without.
     T_world_base : ndarray (4, 4) where the arm stands
+    T_controlled_sensor : ndarray (4, 4)
+        Where the sensor is in truth in the frame that is controlled, as a simulation knows.
     force_estimate, force : ForceSeries
         What the network tells of the force, and what the filter believes; empty where it does not tell.
     body : BodySeries
@@ -236,6 +238,7 @@ class RunRecord:
     targets: Array = field(default_factory=lambda: np.zeros((0, 3)))
     directions: Array = field(default_factory=lambda: np.zeros((0, 3)))
     T_world_base: Array = field(default_factory=lambda: np.eye(4))
+    T_controlled_sensor: Array = field(default_factory=lambda: np.eye(4))
     pose: PoseSeries = field(default_factory=PoseSeries)
     truth: TruthSeries = field(default_factory=TruthSeries)
     estimate: GaussianSeries = field(default_factory=GaussianSeries)

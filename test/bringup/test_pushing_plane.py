@@ -28,24 +28,26 @@ def without_noise(monkeypatch):
     monkeypatch.setattr(np.random, "default_rng", lambda seed=None: Still(np.random.PCG64(seed)))
 
 
-def pushes(table, controller, *rows):
+def pushes(table, controller, *rows, varied=()):
     common = Common(table, controller, "plane")
-    trials = tuple(Trial(common, *row, number) for row, number in rows)
+    trials = tuple(Trial(common, *row, number, varied) for row, number in rows)
     one_by_one = [trial_row(replace(trial, common=replace(common, fidelity="ideal"))) for trial in trials]
     return plane_rows(Batch(trials)), one_by_one
 
 
 @pytest.mark.parametrize(
-    ("table", "controller", "rows"),
+    ("table", "controller", "rows", "varied"),
     [
-        ("single", "paper", [(("blue_square", "foam"), 1), (("yellow_hexagon", "mdf"), 7)]),
-        ("single", "tuned", [(("blue_circle", "mdf"), 2)]),
-        ("dual", "predictive", [(("blue_circle", "foam"), 1)]),
-        ("tall", "paper", [(("tall_red_square", "mdf"), 3)]),
+        ("single", "paper", [(("blue_square", "foam"), 1), (("yellow_hexagon", "mdf"), 7)], ()),
+        ("single", "tuned", [(("blue_circle", "mdf"), 2)], ()),
+        ("single", "paper", [(("red_square", "mdf"), 2)], (("contact_angle", 3.0), ("contact_offset", -2.0))),
+        ("dual", "predictive", [(("blue_circle", "foam"), 1)], ()),
+        ("dual", "paper", [(("blue_square", "mdf"), 1)], (("follower_angle", 4.0), ("follower_offset", 2.0))),
+        ("tall", "paper", [(("tall_red_square", "mdf"), 3)], ()),
     ],
 )
-def test_they_end_at_the_same_place(without_noise, table, controller, rows):
-    for plane, loop in zip(*pushes(table, controller, *rows), strict=True):
+def test_they_end_at_the_same_place(without_noise, table, controller, rows, varied):
+    for plane, loop in zip(*pushes(table, controller, *rows, varied=varied), strict=True):
         assert plane["succeeded"] and loop["succeeded"]
         for name in LENGTHS:
             assert plane[name] == pytest.approx(loop[name], abs=0.1), name
