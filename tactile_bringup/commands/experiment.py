@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,14 +15,15 @@ from rich.console import Console
 
 from tactile_base.array_math import array_math
 from tactile_base.console import number_table, say, wide_console
-from tactile_base.jobs import JobRows, Row, run_jobs
+from tactile_base.jobs import JobRows, Row, Workers, run_jobs
 from tactile_base.progress import Progress
-from tactile_base.whole_file import check_folder
+from tactile_base.whole_file import check_folder, whole_file
 from tactile_bringup.commands.changes import (
     add_command,
     add_group,
     add_job_options,
     add_set_option,
+    cores,
     natural_int,
     positive_int,
     workers_of,
@@ -37,11 +40,13 @@ from tactile_bringup.experiments.pushing import (
     trial_row,
     trial_run,
 )
-from tactile_bringup.experiments.pushing_plane import batches, plane_rows
+from tactile_bringup.experiments.pushing_offsets import CELLS, Rows, fit_lines, fit_offsets
+from tactile_bringup.experiments.pushing_plane import SIDE_BY_SIDE, batches, plane_rows
 from tactile_bringup.experiments.pushing_results import (
     COLUMNS,
     cell,
     failures,
+    markdown,
     table_rows,
     write_map,
     write_table,
@@ -52,6 +57,7 @@ from tactile_records.collecting.parameters import check_same_run
 def register(subparsers: Any) -> None:
     kinds = add_group(subparsers, "experiment", __doc__)
     _register_pushing(kinds)
+    _register_offsets(kinds)
     _register_real_pushes(kinds)
 
 
@@ -111,6 +117,61 @@ def run_real_pushes(arguments: argparse.Namespace) -> int:
     for path in results.write_results(folder, found):
         say(console, str(path))
     return 0
+
+
+def _register_offsets(kinds: Any) -> None:
+    help = "constant offsets of the sensors that explain the paper's tables of pushing"
+    add = add_command(kinds, "offsets", run_offsets, help=help).add_argument
+    add("--trials", type=positive_int, default=5, metavar="N", help="of each row (5)")
+    add("--jobs", type=positive_int, default=cores(), metavar="N", help=f"processes at a time ({cores()})")
+    add("--out", type=Path, metavar="FOLDER", help="(default: out/offsets)")
+
+
+def run_offsets(arguments: argparse.Namespace) -> int:
+    """Fit how the sensors of a cell stand in their tools to the means of the paper's tables of pushing.
+
+    One cell made the table of one arm, another both of two. All rows of a cell have the same offsets, which
+    its arms do not know of; no centre of friction is drawn; fidelity plane. With them also our controllers.
+    """
+    folder = arguments.out or Path("out") / "offsets"
+    check_folder(folder)
+    workers, console, fits = Workers(arguments.jobs), wide_console(), {}
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, (tables, names) in CELLS.items():
+        with Progress() as progress:
+            run = functools.partial(_plane_rows, workers, progress)
+            rows, *others = (
+                Rows(tables, names, run, controller, range(arguments.trials))
+                for controller in ("paper", "tuned", "predictive")
+            )
+            fit = fit_offsets(rows)
+            place = tuple(fit.offsets.values())
+            means = {other.controller: other.means([place])[0] for other in others}
+        fits[name] = fit
+        columns, lines = fit_lines(fit, means)
+        shown = number_table(f"{name}: mean errors", columns, box=box.SIMPLE_HEAD)
+        for line in lines:
+            shown.add_row(*map(cell, line))
+        console.print(shown)
+        for sentence in fit.words():
+            say(console, sentence)
+        with whole_file(folder / f"{name.replace(' ', '_')}.md") as temporary:
+            temporary.write_text(markdown(columns, lines))
+    with whole_file(folder / "offsets.json") as temporary:
+        temporary.write_text(json.dumps({name: fit.offsets for name, fit in fits.items()}, indent=2))
+    say(console, str(folder))
+    return 0
+
+
+def _plane_rows(workers: Workers, progress: Progress, trials: list[Trial]) -> list[Row]:
+    """The rows of trials, run in the plane."""
+    found: dict[Trial, Row] = {}
+    jobs = batches(trials, at_once=max(1, min(SIDE_BY_SIDE, -(-len(trials) // workers.processes))))
+    for done in progress.counted(
+        run_jobs(plane_rows, jobs, workers, progress.say), "pushes", len(jobs), "jobs"
+    ):
+        found.update(zip(done.job.trials, done.result(), strict=True))
+    return [found[trial] for trial in trials]
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -10,6 +10,7 @@ plane knows it::
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -55,9 +56,14 @@ class Batch:
         return f"{self.trials[0].name} to {self.trials[-1].name}"
 
 
-def batches(trials: Sequence[Trial], device: str = "numpy") -> list[Batch]:
-    """The trials in as many as run side by side."""
-    return [Batch(tuple(trials[k : k + SIDE_BY_SIDE]), device) for k in range(0, len(trials), SIDE_BY_SIDE)]
+def batches(trials: Sequence[Trial], device: str = "numpy", at_once: int = SIDE_BY_SIDE) -> list[Batch]:
+    """The trials in as many as run side by side, those of a table apart."""
+    return [
+        Batch(tuple(same[k : k + at_once]), device)
+        for _, group in itertools.groupby(trials, lambda trial: trial.common)
+        for same in [list(group)]
+        for k in range(0, len(same), at_once)
+    ]
 
 
 def plane_rows(batch: Batch) -> list[Row]:
