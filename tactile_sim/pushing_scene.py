@@ -51,9 +51,11 @@ class PushVariation(Settings):
         0.003, unit="m", lower=0.0, upper=0.05,
         doc="off the centre of pressure, along x and along y; of a set",
     )  # fmt: skip
+    center_x: float = setting(
+        0.0, unit="m", lower=-0.1, upper=0.1, doc="of that centre along x of the object, on top of it"
+    )  # fmt: skip
     center_y: float = setting(
-        0.0, unit="m", lower=-0.1, upper=0.1,
-        doc="of the centre of friction along the object's y, on top of what is drawn",
+        0.0, unit="m", lower=-0.1, upper=0.1, doc="the same along its y"
     )  # fmt: skip
     push_friction: float = setting(
         0.0, lower=0.0, upper=0.9, doc="of the floor on top of that, as a part of it; of a trial"
@@ -164,7 +166,7 @@ def pushing_scene(
         * (1 + vary.push_friction * drawn[5]),
         **{key: getattr(vary, key) for key in ("friction_field", "friction_field_length", "friction_speed")},
         "friction_field_seed": 0 if seed is None else zlib.crc32(f"{name}/{floor}/{seed // SET}".encode()),
-        "center_of_friction": tuple(vary.center_of_friction * drawn[1:3] + [0.0, vary.center_y]),
+        "center_of_friction": tuple(vary.center_of_friction * drawn[1:3] + [vary.center_x, vary.center_y]),
     }
     new = replace(body, shape=shape, parameters=parameters, motion_settings=_motion_settings(body, settings))
     first, *others = scene.arms.values()

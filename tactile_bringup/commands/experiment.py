@@ -75,7 +75,7 @@ def _register_pushing(kinds: Any) -> None:
     add("--seed", type=natural_int, default=0, metavar="N", help="number of the first trial (0)")
     add("--objects", nargs="+", default=(), metavar="NAME", help="(default: all of the table)")
     add("--floors", nargs="+", default=(), metavar="NAME", help="(default: all of the table)")
-    add("--controller", default="paper", metavar="NAME", help="paper, tuned or predictive (default: paper)")
+    add("--controller", default="paper", metavar="NAME", help="paper, tuned or offset (default: paper)")
     add("--fidelity", default="ideal", metavar="NAME",
         help="of the sensors; plane: ideal ones, all trials side by side in the plane (default: ideal)",
     )  # fmt: skip
@@ -142,7 +142,7 @@ def run_offsets(arguments: argparse.Namespace) -> int:
             run = functools.partial(_plane_rows, workers, progress)
             rows, *others = (
                 Rows(tables, names, run, controller, range(arguments.trials))
-                for controller in ("paper", "tuned", "predictive")
+                for controller in ("paper", "tuned", "offset")
             )
             fit = fit_offsets(rows)
             place = tuple(fit.offsets.values())

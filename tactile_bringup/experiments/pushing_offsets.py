@@ -36,6 +36,7 @@ CELLS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 STEP = 0.5  # deg or mm, for differences
 LARGEST = 8.0  # deg or mm
 MISSED = 20.0  # mm, for a row of which no push comes to its target
+MOST = 12  # steps of the fit
 TAIL = 1.5  # mm: an error beyond it pulls less than by its square
 
 
@@ -147,7 +148,7 @@ def fit_offsets(rows: Rows) -> Fit:
         loss="soft_l1",
         f_scale=TAIL,
         xtol=1e-2,
-        max_nfev=12,
+        max_nfev=MOST,
     )
     before, after = rows.means([tuple(start.tolist()), tuple(found.x.tolist())])
     freedom = max(1, len(after) - len(start))

@@ -207,9 +207,10 @@ VARIABLES = {
     "center_of_friction": Variable(
         "largest draw of the centre of friction [mm]", _variation("center_of_friction", 1e-3)
     ),
-    "center_y": Variable(
-        "centre of friction off the middle, along the object's y [mm]", _variation("center_y", 1e-3)
+    "center_x": Variable(
+        "centre of friction off the middle, along the object's x [mm]", _variation("center_x", 1e-3)
     ),
+    "center_y": Variable("the same along its y [mm]", _variation("center_y", 1e-3)),
     "push_friction": Variable(
         "largest draw of friction from push to push, over it", _variation("push_friction")
     ),

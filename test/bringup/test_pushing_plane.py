@@ -41,7 +41,7 @@ def pushes(table, controller, *rows, varied=()):
         ("single", "paper", [(("blue_square", "foam"), 1), (("yellow_hexagon", "mdf"), 7)], ()),
         ("single", "tuned", [(("blue_circle", "mdf"), 2)], ()),
         ("single", "paper", [(("red_square", "mdf"), 2)], (("contact_angle", 3.0), ("contact_offset", -2.0))),
-        ("dual", "predictive", [(("blue_circle", "foam"), 1)], ()),
+        ("dual", "offset", [(("blue_circle", "foam"), 1)], ()),
         ("dual", "paper", [(("blue_square", "mdf"), 1)], (("follower_angle", 4.0), ("follower_offset", 2.0))),
         ("tall", "paper", [(("tall_red_square", "mdf"), 3)], ()),
     ],
@@ -68,7 +68,7 @@ def test_a_trial_has_the_same_row_in_any_company():
 
 def test_torch_gives_the_same_rows():
     pytest.importorskip("torch", reason="the extra 'train' is not installed")
-    trials = (Trial(Common("single", "predictive", "plane"), "red_square", "foam", 0),)
+    trials = (Trial(Common("single", "tuned", "plane"), "red_square", "foam", 0),)
     numpy, torch = (plane_rows(Batch(trials, device))[0] for device in ("numpy", "torch"))
     assert torch["error_mm"] == pytest.approx(numpy["error_mm"], abs=1e-6)
 

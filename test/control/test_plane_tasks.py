@@ -83,7 +83,7 @@ def test_no_other_plan_costs_less(model, y, z):
 @pytest.mark.parametrize("drift", [-2.0, 0.0, 2.0])
 def test_a_push_by_plans_arrives(request, drift):
     settings = load_controller(
-        request.config.rootpath / CONTROLLERS / "pushing_predictive.yaml", PushingSettings()
+        request.config.rootpath / CONTROLLERS / "pushing_tuned.yaml", PushingSettings()
     )
     plant = plant_with(drift=drift)
     plant.noise = np.array([2e-4, 2e-4, 2e-4, 0.01, 0.01, 0.01])

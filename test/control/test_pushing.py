@@ -137,7 +137,7 @@ def test_a_lost_contact_ends_the_push_and_says_so(settings):
     "names, expected",
     [(("presence",), "presence is"), (("sensor_pose",), "pose is")],
 )
-@pytest.mark.parametrize("controller", ["pushing.yaml", "pushing_tuned.yaml"])
+@pytest.mark.parametrize("controller", ["pushing.yaml", "pushing_tuned.yaml", "pushing_offset.yaml"])
 def test_a_silent_input_brings_the_push_to_rest_within_200_ms_and_is_named(
     controllers, controller, names, expected
 ):
