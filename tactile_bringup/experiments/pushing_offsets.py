@@ -35,7 +35,7 @@ CELLS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 STEP = 0.5  # deg or mm, for differences
 LARGEST = 8.0  # deg or mm
-MISSED = 20.0  # mm, for a row of which no push comes to its target
+MISSED = 20.0  # mm, for a row of which offsets keep all pushes from their target
 MOST = 12  # steps of the fit
 TAIL = 1.5  # mm: an error beyond it pulls less than by its square
 
@@ -50,7 +50,8 @@ class Fit:
     deviations : of each, by how the rows miss their means
     rows : (table, object, floor) of each row
     paper : ndarray (R, 2) mean and deviation, mm
-    before, after : ndarray (R,) means without and with the offsets, mm
+    before, after : ndarray (R,)
+        Means without and with the offsets, mm; NaN where no push comes to its target, which is not fitted to.
     """
 
     offsets: dict[str, float]
@@ -68,14 +69,14 @@ class Fit:
         )
         ends = (
             f"{how}: {self.missed(means):.2f} mm RMS from the paper's means, "
-            f"{self.within(means)} of {len(means)} within its deviation"
+            f"{self.within(means)} of {np.isfinite(means).sum()} within its deviation"
             for how, means in (("without", self.before), ("with", self.after))
         )
         return [*found, *ends]
 
     def missed(self, means: Array) -> float:
         """RMS by which means miss the paper's, mm."""
-        return float(np.sqrt(np.mean((means - self.paper[:, 0]) ** 2)))
+        return float(np.sqrt(np.nanmean((means - self.paper[:, 0]) ** 2)))
 
     def within(self, means: Array) -> int:
         """How many of the means lie within the paper's deviation."""
@@ -113,7 +114,7 @@ class Rows:
         found = iter(self._run(trials)) if trials else iter(())
         for place in missing:
             outcomes = [Outcome.of([next(found) for _ in self._numbers]) for _ in self.rows]
-            means = [o.errors.mean() if len(o.errors) else MISSED for o in outcomes]
+            means = [o.errors.mean() if len(o.errors) else np.nan for o in outcomes]
             self._known[place] = np.array(means)
         return [self._known[place] for place in places]
 
@@ -128,33 +129,27 @@ class Rows:
 
 def fit_offsets(rows: Rows) -> Fit:
     """The offsets with which the means of rows are nearest to the paper's."""
+    count = len(rows.names)
+    (before,) = rows.means([(0.0,) * count])
+    arrive = np.isfinite(before)
 
-    def missing(x: Array) -> Array:
-        return rows.means([tuple(x.tolist())])[0] - rows.paper[:, 0]
+    def errors(places: Sequence[Array]) -> Array:
+        """(P, R) from the paper's means, of the rows that arrive without."""
+        means = np.array(rows.means([tuple(place.tolist()) for place in places]))[:, arrive]
+        return np.nan_to_num(means, nan=MISSED) - rows.paper[arrive, 0]
 
     def slopes(x: Array) -> Array:
-        steps = [side * STEP * row for row in np.eye(len(x)) for side in (1.0, -1.0)]
-        means = rows.means([tuple((x + step).tolist()) for step in steps])
-        return np.array(
-            [(up - down) / (2.0 * STEP) for up, down in zip(means[::2], means[1::2], strict=True)]
-        ).T
+        found = errors([x + side * STEP * row for row in np.eye(count) for side in (1.0, -1.0)])
+        return (found[::2] - found[1::2]).T / (2.0 * STEP)
 
-    start = np.zeros(len(rows.names))
-    found = least_squares(
-        missing,
-        start,
-        slopes,
-        bounds=(-LARGEST, LARGEST),
-        loss="soft_l1",
-        f_scale=TAIL,
-        xtol=1e-2,
-        max_nfev=MOST,
-    )
-    before, after = rows.means([tuple(start.tolist()), tuple(found.x.tolist())])
-    freedom = max(1, len(after) - len(start))
-    variance = np.sum((after - rows.paper[:, 0]) ** 2) / freedom
-    deviations = np.sqrt(variance * np.diag(np.linalg.pinv(found.jac.T @ found.jac)))
-    offsets, spread = (dict(zip(rows.names, map(float, each), strict=True)) for each in (found.x, deviations))
+    fit = least_squares(
+        lambda x: errors([x])[0], np.zeros(count), slopes, bounds=(-LARGEST, LARGEST),
+        loss="soft_l1", f_scale=TAIL, xtol=1e-2, max_nfev=MOST,
+    )  # fmt: skip
+    variance = np.sum(errors([fit.x]) ** 2) / max(1, arrive.sum() - count)
+    deviations = np.sqrt(variance * np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)))
+    offsets, spread = (dict(zip(rows.names, map(float, each), strict=True)) for each in (fit.x, deviations))
+    (after,) = rows.means([tuple(fit.x.tolist())])
     return Fit(offsets, spread, rows.rows, rows.paper, before, after)
 
 

@@ -183,10 +183,10 @@ class Pushing(ContactTask):
         """The sideways velocity (6,) in {s'} for a new belief."""
         T_base_sensor, T_base_reference = self.T_base_sensor, self.T_base_reference
         bearing = target_bearing(self._target, T_base_reference)
-        if not self.settings.steering.enabled:
-            return self.alignment.step(belief.stamp_ns, bearing, self.limited)
         down = T_base_sensor[:3, 0]
         self.steering.model.update(T_base_sensor[:3, 3], (T_base_sensor @ belief.T)[:3, 2], down)
+        if not self.settings.steering.enabled:
+            return self.alignment.step(belief.stamp_ns, bearing, self.limited)
         if not self.goal.direction:
             return self.steering.step(bearing.position, speed, self.settings.task.tip_radius)
         return self.steering.step_to_pose(*self._end(bearing, T_base_reference), speed)
@@ -200,7 +200,8 @@ class Pushing(ContactTask):
         bearing = target_bearing(self._target, self.T_base_reference)
         if bearing.position[2] < 0.0:
             beside = abs(bearing.position[1]) * 1e3
-            return f"the target was passed {beside:.1f} mm beside the contact: it cannot be reached any more"
+            missed = f"the target was passed {beside:.1f} mm beside the contact"
+            return f"{missed}: it cannot be reached any more{self._why_missed()}"
         if elapsed > self.settings.task.timeout:
             return f"the push was not done within {self.settings.task.timeout:g} s"
         if (stuck := elapsed - self._went_on) > self.settings.task.stuck_time:
@@ -209,6 +210,16 @@ class Pushing(ContactTask):
                 f"{self.settings.task.stop_depth * 1e3:g} mm; it topples, or something is in its way"
             )
         return ""
+
+    def _why_missed(self) -> str:
+        """What turned the object aside, if it was more than what steering is to expect."""
+        steering = self.settings.steering
+        drift = self.steering.model.drift
+        if abs(drift) < steering.drift_deviation:
+            return ""
+        turned = f"; it turns by {0.01 * np.degrees(abs(drift)):.1f} deg for each 10 mm ahead"
+        mended = "" if steering.enabled else ", which steering makes up for (controller pushing_tuned)"
+        return f"{turned}: its friction is centred beside the contact{mended}"
 
     def ahead(self) -> list[Array]:
         """To the target, until it leaves; how the sensor will be turned there nobody knows."""

@@ -91,7 +91,17 @@ def test_with_the_gains_read_in_radians_the_target_is_missed(settings):
 def test_an_object_that_cannot_be_steered_fails_and_says_by_how_much_the_target_was_missed(settings):
     _, commands = pushed(settings, plant_with(turning=0.0))
     assert phases_of(commands)[-3:] == [STOPPING, RETREAT, FAILED]
-    assert "the target was passed" in commands[-1][1].reason
+    reason = commands[-1][1].reason
+    assert "the target was passed" in reason and "friction" not in reason
+
+
+def test_of_an_object_that_turns_as_it_goes_ahead_the_failure_says_why_and_what_makes_up_for_it(settings):
+    _, commands = pushed(settings, plant_with(drift=5.0))
+    assert re.search(
+        r"the target was passed .*; it turns by (2\.[5-9]|3\.[0-2]) deg for each 10 mm ahead: its "
+        r"friction is centred beside the contact, which steering makes up for \(controller pushing_tuned\)",
+        commands[-1][1].reason,
+    )
 
 
 # ---- contact ----
