@@ -122,7 +122,7 @@ def run_real_pushes(arguments: argparse.Namespace) -> int:
 def _register_offsets(kinds: Any) -> None:
     help = "constant offsets of the sensors that explain the paper's tables of pushing"
     add = add_command(kinds, "offsets", run_offsets, help=help).add_argument
-    add("--trials", type=positive_int, default=5, metavar="N", help="of each row (5)")
+    add("--trials", type=positive_int, default=2, metavar="N", help="of each row (2)")
     add("--jobs", type=positive_int, default=cores(), metavar="N", help=f"processes at a time ({cores()})")
     add("--out", type=Path, metavar="FOLDER", help="(default: out/offsets)")
 
@@ -131,7 +131,7 @@ def run_offsets(arguments: argparse.Namespace) -> int:
     """Fit how the sensors of a cell stand in their tools to the means of the paper's tables of pushing.
 
     One cell made the table of one arm, another both of two. All rows of a cell have the same offsets, which
-    its arms do not know of; no centre of friction is drawn; fidelity plane. With them also our controllers.
+    its arms do not know of; nothing else is drawn; fidelity plane. With them also our controllers.
     """
     folder = arguments.out or Path("out") / "offsets"
     check_folder(folder)

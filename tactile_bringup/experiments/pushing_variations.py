@@ -222,6 +222,10 @@ VARIABLES = {
     "follower_angle": Variable("the other arm's sensor turned to the left [deg]", _misplaced(1, 3, -DEG)),
     "follower_offset": Variable("the other arm's sensor shifted to the left [mm]", _misplaced(1, 1, 1e-3)),
     "pin_wear": Variable("part of the pins worn off", _pin_wear),
+    "placement": Variable(
+        "largest draw of the object's place to the side [mm]", _variation("placement", 1e-3)
+    ),
+    "placement_angle": Variable("largest draw of its angle [deg]", _variation("angle_deg")),
     "offset": Variable("object to the side at the start [mm]", _variation("offset", 1e-3)),
     "angle": Variable("object turned at the start [deg]", _variation("turn_deg")),
     "noise": Variable("noise of the sensor over the ideal sensor's", _noise),

@@ -29,10 +29,10 @@ class Slopes:
 
     def row(self, trial):
         k, varied = self.rows[trial.object, trial.floor], dict(trial.varied)
-        assert varied.pop("center_of_friction") == 0.0
+        assert all(varied[name] == 0.0 for name, _ in pushing_offsets.NOTHING_DRAWN)
         error = self.constant[k] + self.slopes[k] @ [varied[name] for name in NAMES]
         done = {"succeeded": True, "contact_lost": False, "toppled": False, "work_s": 40.0}
-        return done | {"error_mm": error + 0.01 * (trial.number - 2), "trial": trial.number}
+        return done | {"error_mm": error + 0.01 * (2 * trial.number - 1), "trial": trial.number}
 
 
 def rows_of(slopes):
@@ -43,7 +43,7 @@ def rows_of(slopes):
 
 def test_offsets_are_found_from_the_errors_that_they_make():
     fit = fit_offsets(rows_of(Slopes((2.0, -0.7))))
-    assert list(fit.offsets.values()) == pytest.approx([2.0, -0.7], abs=0.02)
+    assert list(fit.offsets.values()) == pytest.approx([2.0, -0.7], abs=0.05)
     assert fit.within(fit.after) == 8 and fit.missed(fit.after) < 0.05 < fit.missed(fit.before)
 
 
