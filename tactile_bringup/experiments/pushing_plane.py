@@ -10,7 +10,6 @@ plane knows it::
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -60,8 +59,8 @@ def batches(trials: Sequence[Trial], device: str = "numpy", at_once: int = SIDE_
     """The trials in as many as run side by side, those of a table apart."""
     return [
         Batch(tuple(same[k : k + at_once]), device)
-        for _, group in itertools.groupby(trials, lambda trial: trial.common)
-        for same in [list(group)]
+        for common in dict.fromkeys(trial.common for trial in trials)
+        for same in [[trial for trial in trials if trial.common == common]]
         for k in range(0, len(same), at_once)
     ]
 
