@@ -135,22 +135,23 @@ def fit_offsets(rows: Rows) -> Fit:
     (before,) = rows.means([(0.0,) * count])
     arrive = np.isfinite(before)
 
-    def errors(places: Sequence[Array]) -> Array:
-        """(P, R) from the paper's means, of the rows that arrive without."""
-        means = np.array(rows.means([tuple(place.tolist()) for place in places]))[:, arrive]
-        return np.nan_to_num(means, nan=MISSED) - rows.paper[arrive, 0]
+    def errors(x: Array) -> Array:
+        """(1 + 2 N, R) from the paper's means, of the rows that arrive without: at a place, and beside it."""
+        steps = [side * STEP * row for row in np.eye(count) for side in (1.0, -1.0)]
+        means = np.array(rows.means([tuple((x + step).tolist()) for step in (0.0 * x, *steps)]))
+        return np.nan_to_num(means[:, arrive], nan=MISSED) - rows.paper[arrive, 0]
 
     def slopes(x: Array) -> Array:
-        found = errors([x + side * STEP * row for row in np.eye(count) for side in (1.0, -1.0)])
-        return (found[::2] - found[1::2]).T / (2.0 * STEP)
+        _, *found = errors(x)
+        return (np.array(found[::2]) - found[1::2]).T / (2.0 * STEP)
 
     assumed = np.eye(count) / ORDINARY
     fit = least_squares(
-        lambda x: np.append(errors([x])[0], x / ORDINARY), np.zeros(count),
+        lambda x: np.append(errors(x)[0], x / ORDINARY), np.zeros(count),
         lambda x: np.vstack([slopes(x), assumed]), bounds=(-LARGEST, LARGEST),
         loss="soft_l1", f_scale=TAIL, xtol=2e-2, max_nfev=MOST,
     )  # fmt: skip
-    variance = np.sum(errors([fit.x]) ** 2) / max(1, arrive.sum() - count)
+    variance = np.sum(errors(fit.x)[0] ** 2) / max(1, arrive.sum() - count)
     deviations = np.sqrt(variance * np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)))
     offsets, spread = (dict(zip(rows.names, map(float, each), strict=True)) for each in (fit.x, deviations))
     (after,) = rows.means([tuple(fit.x.tolist())])
