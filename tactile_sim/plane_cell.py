@@ -280,7 +280,10 @@ class PlaneCell:
             for k, name in enumerate(scene.arms)
         ]
         apart = np.array([[_apart(each, name) for each in scenes] for name in scene.arms])
-        self._apart = [(math.array(way), math.array(turn.real)) for way, turn in np.moveaxis(apart, 2, 1)]
+        self._apart = [
+            (math.array(way), math.array(turn.real)) if way.any() or turn.any() else None
+            for way, turn in np.moveaxis(apart, 2, 1)
+        ]
         self.frame_ticks = [
             round(scene.simulation.rate / arm.sensor.settings.camera_rate)
             for arm in scene.arms.values()
@@ -306,7 +309,8 @@ class PlaneCell:
 
     def sensor_pose(self, arm: int) -> Pose:
         """Where the sensors of an arm are in truth."""
-        return self.arms[arm].pose.shifted(*self._apart[arm], self._math)
+        said, apart = self.arms[arm].pose, self._apart[arm]
+        return said if apart is None else said.shifted(*apart, self._math)
 
 
 def _model(scene: Scene, arm: str) -> IdealSensorSettings:

@@ -67,16 +67,12 @@ def add_job_options(parser: Any, default: int | None = None, those: str = "") ->
     default : of processes; None: as many as cores
     those : which runs they are of, where the command has others
     """
-    shown = f"as many as cores: {cores()}" if default is None else default
+    cores = len(os.sched_getaffinity(0))
+    shown = f"as many as cores: {cores}" if default is None else default
     add, text = parser.add_argument, f"{those}processes at a time ({shown})"
-    add("--jobs", type=positive_int, default=default or cores(), metavar="N", help=text)
+    add("--jobs", type=positive_int, default=default or cores, metavar="N", help=text)
     text = f"{those}run on the workers of this Dask scheduler instead (without TLS it runs anybody's code)"
     add("--scheduler", default="", metavar="ADDRESS", help=text)
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def workers_of(arguments: argparse.Namespace) -> Workers:

@@ -23,7 +23,6 @@ from tactile_bringup.commands.changes import (
     add_group,
     add_job_options,
     add_set_option,
-    cores,
     natural_int,
     positive_int,
     workers_of,
@@ -121,9 +120,10 @@ def run_real_pushes(arguments: argparse.Namespace) -> int:
 
 def _register_offsets(kinds: Any) -> None:
     help = "constant offsets of the sensors that explain the paper's tables of pushing"
-    add = add_command(kinds, "offsets", run_offsets, help=help).add_argument
+    parser = add_command(kinds, "offsets", run_offsets, help=help)
+    add = parser.add_argument
     add("--trials", type=positive_int, default=2, metavar="N", help="of each row (2)")
-    add("--jobs", type=positive_int, default=cores(), metavar="N", help=f"processes at a time ({cores()})")
+    add_job_options(parser)
     add("--out", type=Path, metavar="FOLDER", help="(default: out/offsets)")
 
 
@@ -135,7 +135,7 @@ def run_offsets(arguments: argparse.Namespace) -> int:
     """
     folder = arguments.out or Path("out") / "offsets"
     check_folder(folder)
-    workers, console, fits = Workers(arguments.jobs), wide_console(), {}
+    workers, console, fits = workers_of(arguments), wide_console(), {}
     folder.mkdir(parents=True, exist_ok=True)
     for name, (tables, names) in CELLS.items():
         with Progress() as progress:
