@@ -22,7 +22,7 @@ from tactile_base.origin import origin
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import Topic
 from tactile_bringup.graph import role_note
-from tactile_bringup.offline import START_NS
+from tactile_bringup.offline_arm import START_NS
 from tactile_bringup.run_sequence import ArmPlan
 from tactile_control.phases import Command
 from tactile_filter.belief import Belief
