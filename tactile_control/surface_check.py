@@ -61,7 +61,8 @@ class SurfaceSettings(Settings):
     )
     yields: float = setting(
         0.0, lower=0.0, upper=0.1, unit="m",
-        doc="the surface gives way by at most so much where the tip presses, as an object that is held",
+        doc="the surface gives way by at most so much where the tip presses, as an object that is held, and "
+        "comes back as the tip does",
     )  # fmt: skip
     curvature: float = setting(
         25.0, lower=0.0, upper=1000.0, unit="1/m", doc="largest curvature of the surface: 1 / its radius"
@@ -313,8 +314,9 @@ class SurfaceCheck(Check):
         slid = now[_SLID] - kept[:, _SLID]
         apart = now[_OFFSET] - kept[:, _OFFSET]
         room = settings.depth_error + settings.normal_error * slid + moved
-        pressed = np.clip(now[_INTO] - kept[:, _INTO], 0.0, settings.yields)
-        self._judge(np.abs(apart) / np.where(apart < 0.0, room + pressed, room), self._depth_text, now)
+        into = now[_INTO] - kept[:, _INTO]
+        given = np.where(apart * into < 0.0, np.minimum(np.abs(into), settings.yields), 0.0)  # or come back
+        self._judge(np.abs(apart) / (room + given), self._depth_text, now)
         angle = np.arccos(np.clip(kept[:, _NORMAL] @ now[_NORMAL], -1.0, 1.0))
         room = settings.angle_error + settings.curvature * slid + turned
         self._judge(angle / room, self._normal_text, now)

@@ -101,6 +101,8 @@ class HeldSettings(SkinForces):
                 f"{steepest:.1f} degrees, must be at most {_STEEPEST_DEG:g}"
             )
 
+    secant_stiffness = SkinForces.mindlin_stiffness
+
     @property
     def friction(self) -> float:
         """Of the plate, with the rim that the object would have to climb."""
@@ -298,7 +300,6 @@ class Held:
             raise SettingError(f"body '{body.name}': motion 'held' needs carried_by, the arm with the plate")
         self.carriers = (body.carried_by,)
         self.object = HeldObject(settings)
-        self._surface = body.make()
         self._T_tool_plate = body.T_parent_body @ se3.inverse(self.object.T_plate_object)
         self._newest = -1  # stamp of the contact that the object has felt last, ns
         self._since = 0.0  # s since then
@@ -330,7 +331,6 @@ class Held:
             known = self.object.settings.force_on_body(contact)
             size = float(np.linalg.norm(known))
             force += T[:3, :3] @ known
-            touched = self._surface.closest(contact.T_body_sensor[None, :3, 3])[0]
-            point += size * (T[:3, :3] @ touched + T[:3, 3])
+            point += size * (T[:3, :3] @ self.object.settings.point_on_body(contact) + T[:3, 3])
             sizes += size
         return force, point / sizes if sizes > 0 else point

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-4  # s of path time; velocities are central differences of poses, exact to 1e-8 of them
 _TOLD = 30  # poses of the trajectory, where it is told what lies ahead
+_STEPS = 1000  # in which a period is integrated: to a micrometre for the paper's motion
+BASE, START, TOOL = "base", "start", "tool"
 WAITED = 0.1  # s between two steps of the move, in which the arm has waited: it goes on from there
 
 
@@ -57,13 +59,20 @@ def _six(doc: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class TrajectoryGoal(Goal):
-    """A displacement, an oscillation, or both one upon the other, along and about the axes of the base.
+    """A displacement, an oscillation, or both one upon the other, along and about the `axes`.
 
-    The oscillation is the paper's periodic velocity v(t) = (2 pi b / T) cos(2 pi t / T + phi), integrated;
+    The oscillation is the paper's periodic velocity v(t) = (2 pi b / T) cos(2 pi t / T + phi), integrated:
+    along the axes of the controlled frame as it moves ("tool"), or along fixed ones. About fixed axes
     rotations are rotation vectors about the controlled frame's origin, so that its rotational part is the
     angular velocity where the three rotational phases are equal, as they are in the paper.
     """
 
+    axes: str = setting(
+        BASE,
+        choices=(BASE, START, TOOL),
+        doc="of what follows: the base's; those of the controlled frame at the start; or of that frame as it "
+        "moves, so that velocities are twists in it",
+    )
     displacement: tuple[float, ...] = _six("x, y, z (m) and turn about x, y, z (deg) at the end")
     speed: float = setting(0.015, lower=1e-5, upper=1.0, unit="m/s", doc="speed of the displacement")
     angular_speed_deg: float = setting(
@@ -89,8 +98,15 @@ class TrajectoryGoal(Goal):
         swing = self.period * self.periods if any(self.amplitude) else 0.0
         return max(float(lengths[0]), float(lengths[1]), swing)
 
+    def velocity(self, seconds: float) -> Array:
+        """Velocity (6,) at that time of full speed, m/s and rad/s."""
+        rate = 2.0 * np.pi / self.period
+        part = np.array(self.displacement) / self.duration
+        part += np.array(self.amplitude) * rate * np.cos(rate * seconds + np.radians(self.phase_deg))
+        return np.concatenate([part[:3], np.radians(part[3:])])
+
     def offset(self, seconds: float) -> Array:
-        """Displacement (m) and rotation vector (rad), (6,) in the base, after that time at full speed."""
+        """Displacement (m) and rotation vector (rad), (6,) along fixed axes, after that time."""
         part = np.array(self.displacement) * (seconds / self.duration)
         angle = 2.0 * np.pi * seconds / self.period
         phase = np.radians(self.phase_deg)
@@ -109,15 +125,33 @@ class Along(Phase["Trajectory"]):
         self.moved_ns = self.ended_ns = self.last_ns = 0
         self.error, self.feedforward = np.full(6, np.nan), np.zeros(6)
         self._whole: list[tuple[float, Array]] = []
+        self._period = [np.eye(4)]  # motions since the start under the twists of one period
+        goal, step = self.task.goal, self.task.goal.period / _STEPS
+        for k in range(_STEPS if goal.axes == TOOL else 0):
+            self._period.append(self._period[-1] @ se3.exp(step * goal.velocity((k + 0.5) * step)))
 
     def pose(self, seconds: float) -> Array:
         """Where the controlled frame is to be in the base (4, 4), after that time at full speed."""
         assert self.T_base_origin is not None
-        offset = self.task.goal.offset(seconds)
-        T = np.eye(4)
-        T[:3, :3] = se3.exp(np.concatenate([np.zeros(3), offset[3:]]))[:3, :3] @ self.T_base_origin[:3, :3]
-        T[:3, 3] = self.T_base_origin[:3, 3] + offset[:3]
+        origin, goal = self.T_base_origin, self.task.goal
+        if goal.axes == TOOL:
+            return np.asarray(origin @ self._driven(seconds))
+        offset = goal.offset(seconds)
+        turn = se3.exp(np.concatenate([np.zeros(3), offset[3:]]))[:3, :3]
+        T = origin.copy()
+        T[:3, :3] = turn @ origin[:3, :3] if goal.axes == BASE else origin[:3, :3] @ turn
+        T[:3, 3] += offset[:3] if goal.axes == BASE else origin[:3, :3] @ offset[:3]
         return T
+
+    def _driven(self, seconds: float) -> Array:
+        """Motion (4, 4) since the start under the twists of the goal, which repeat with its period."""
+        goal, step = self.task.goal, self.task.goal.period / _STEPS
+        periods, rest = divmod(seconds, goal.period)
+        whole = self._period[-1] if periods >= 0 else se3.inverse(self._period[-1])
+        k = min(int(rest / step), _STEPS - 1)
+        left = rest - k * step
+        last = se3.exp(left * goal.velocity(k * step + 0.5 * left))
+        return np.asarray(np.linalg.matrix_power(whole, abs(int(periods))) @ self._period[k] @ last)
 
     def over(self) -> bool:
         pose, now_ns = self.task.pose, self.task.now_ns

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic_plant import MS, Plane, Plant, pointing_down, run
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from tactile_base.settings import SettingError
@@ -122,6 +123,37 @@ def test_on_its_way_it_is_where_the_closed_form_says(part):
     expected = displaced(swing + np.array([0.02, 0, 0.01, 0, 0, 0]) * (t / 20.0))
     distance, angle = error_to(T, expected)
     assert distance < 0.2 * MM and angle < np.radians(0.1)
+
+
+def test_along_the_axes_of_its_start_a_displacement_is_one_in_the_controlled_frame():
+    way = (0.02, 0.03, -0.01, -10.0, 5.0, 40.0)
+    plant, _ = moved(TrajectoryGoal(displacement=way, axes="start"))
+    T = START.copy()
+    T[:3, :3] = START[:3, :3] @ Rotation.from_rotvec(np.radians(way[3:])).as_matrix()
+    T[:3, 3] += START[:3, :3] @ way[:3]
+    distance, angle = error_to(plant.T, T)
+    assert distance < 0.4 * MM and angle < np.radians(0.2)
+
+
+@pytest.mark.parametrize("periods", [0.3, 1.0, 2.4])
+def test_twists_of_the_tool_are_integrated(periods):
+    """dT/dt = T [v(t)] for the paper's v(t), all six components, by an ODE solver."""
+    b, phase = np.array([0.075] * 3 + [np.radians(25.0)] * 3), np.array([np.pi / 2, 0, 0, 0, 0, 0])
+    goal = TrajectoryGoal(
+        amplitude=(*b[:3], 25.0, 25.0, 25.0), phase_deg=(90.0, 0, 0, 0, 0, 0), periods=periods, axes="tool"
+    )
+
+    def derivative(t, flat):
+        v = 2 * np.pi / 30.0 * b * np.cos(2 * np.pi * t / 30.0 + phase)
+        x, y, z = v[3:]
+        hat = np.array([[0, -z, y, v[0]], [z, 0, -x, v[1]], [-y, x, 0, v[2]], [0, 0, 0, 0]])
+        return (flat.reshape(4, 4) @ hat).ravel()
+
+    end = solve_ivp(derivative, (0, 30.0 * periods), START.ravel(), rtol=1e-10, atol=1e-12).y[:, -1]
+    plant, commands = moved(goal)
+    assert commands[-1][1].succeeded
+    distance, angle = error_to(plant.T, end.reshape(4, 4))
+    assert distance < 0.4 * MM and angle < np.radians(0.2)
 
 
 numbers = st.floats(-0.1, 0.1)

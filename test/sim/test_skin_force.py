@@ -1,15 +1,18 @@
 """The largest shear of a simulated tip by a formula is that at which its simulation slides."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tactile_geometry import se3
 from tactile_scene.shapes import make_surface
+from tactile_scene.shapes.surface import contact_pose
 from tactile_scene.simulated_sensors import IdealSensorSettings, TacTipSettings
 from tactile_sim.ideal_sensor import IdealSensor
-from tactile_sim.skin_force import largest_shear
+from tactile_sim.sensor import contact_on_body
+from tactile_sim.skin_force import STAYS, SkinForces, largest_shear
 from tactile_sim.tactip import TacTip
 
 MM = 1e-3
@@ -38,6 +41,24 @@ def test_a_soft_tip_is_sheared_as_far_as_is_said_and_no_further(friction, load, 
     )
     limit = largest_shear(model, depth)
     assert dragged(TacTip(model), depth, 2 * limit) == pytest.approx(limit, rel=0.15)
+
+
+@pytest.mark.parametrize("depth", [4 * MM, 6 * MM, 8 * MM])
+@pytest.mark.parametrize("way", [(2 * MM, 0.0), (-1.5 * MM, 3 * MM)])
+def test_a_sheared_tip_goes_on_pressing_where_it_touched(depth, way):
+    """The simulated skin's own centre of pressure, against that of a sensor that models no force."""
+    sensor, turned = TacTip(), se3.pose_from_euler([0.0, 0.0, 0.0, 0.0, 0.0, 0.7])
+    for x, y, z in ((0.0, 0.0, -MM), (0.0, 0.0, depth), (*way, depth)):
+        T = DOWN @ se3.pose_from_euler([x, y, z, 0.0, 0.0, 0.0]) @ turned
+        sensor.advance(PLANE, T)
+    geometry, known = contact_pose(PLANE, T, 0.020), sensor.truth()
+    truth = SimpleNamespace(T_fs=known.T_fs, depth=depth)
+    felt = contact_on_body("arm", 0, geometry, T, truth, known)
+    assert SkinForces().point_on_body(felt) is felt.point
+    guessed = SkinForces().point_on_body(replace(felt, point=geometry.point, force=np.full(3, np.nan)))
+    shear = np.hypot(*way)
+    assert np.linalg.norm(geometry.point - felt.point) == pytest.approx(STAYS * shear, rel=0.1)
+    assert np.linalg.norm(guessed - felt.point) < 0.12 * shear
 
 
 def test_an_ideal_sensor_is_sheared_to_just_there():
