@@ -62,7 +62,7 @@ class ImageCheckSettings(Settings):
         4.0, lower=0.0, upper=255.0,
         doc="standard deviation of gray levels below which a camera's image shows nothing; 0: none does",
     )  # fmt: skip
-    fewest_markers: float = setting(0.7, lower=0.0, upper=1.0, doc="of those without contact; 0: any number")
+    fewest_markers: float = setting(0.8, lower=0.0, upper=1.0, doc="of those without contact; 0: any number")
     most_markers: float = setting(1.25, lower=1.0, upper=100.0, doc="of those without contact")
     least_white: float = setting(0.8, lower=0.0, upper=1.0, doc="of the white without contact")
     most_white: float = setting(

@@ -87,12 +87,16 @@ def test_a_surface_that_moves_is_believed_from_the_works_beginning_on_as_fast_as
     assert fed(check, 2.0, still, follows) is None
 
 
-def test_what_gives_way_does_so_inwards_and_only_so_far():
+def test_what_gives_way_does_so_under_the_tip_and_comes_back_with_it_and_only_so_far():
     settings = SurfaceSettings(yields=0.003)
     still = lambda t: euler_pose()  # noqa: E731
     assert fed(SurfaceCheck(settings), 1.0, still, lambda t: at(down=0.0025 * t)) is None
     assert fed(SurfaceCheck(settings), 1.0, still, lambda t: at(down=0.0060 * t)) is not None
-    assert fed(SurfaceCheck(settings), 1.0, still, lambda t: at(down=-0.0025 * t)) is not None
+    assert fed(SurfaceCheck(settings), 1.0, still, lambda t: at(down=-0.0025 * t)) is None
+    assert fed(SurfaceCheck(settings), 1.0, still, lambda t: at(down=-0.0060 * t)) is not None
+    deeper, less = lambda t: euler_pose(z=0.003 + 0.002 * t), lambda t: euler_pose(z=0.003 - 0.002 * t)
+    assert fed(SurfaceCheck(settings), 1.0, deeper, lambda t: at()) is not None, "of itself it goes nowhere"
+    assert fed(SurfaceCheck(settings), 1.0, less, lambda t: at()) is not None
 
 
 # ---- what it cannot ----
