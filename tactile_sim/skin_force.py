@@ -28,8 +28,8 @@ STAYS = 0.85  # of the shear: so far behind the dome's centre a skin that sticks
 class SkinForces(Settings):
     """Normal force and shear stiffness over depth as powers, and friction.
 
-    The curves are fitted to the simulated TacTip on a plane by bench/simulation/skin_curves.py, as is `STAYS`;
-    they scale with `SkinSettings.gel_modulus`.
+    The curves are fitted to the simulated TacTip on a plane by bench/simulation/skin_curves.py; they scale
+    with `SkinSettings.gel_modulus`.
     """
 
     friction_tip: float = setting(0.9, lower=0.0, upper=5.0, doc="between object and the tip's skin")
@@ -85,7 +85,7 @@ class SkinForces(Settings):
         return _contact.skin_force(contact.T_body_sensor, T_fs, press, stiffness, self.friction_tip)
 
     def point_on_body(self, contact: BodyContact) -> Array:
-        """Where that force acts (3,), m, in the body's frame: what sticks goes on pressing where it touched."""
+        """Where that force acts (3,), m, in the body's frame: what sticks presses where it touched."""
         if not math.isnan(contact.force[0]):
             return contact.point
         T_fs = contact.truth.T_fs
