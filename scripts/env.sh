@@ -64,6 +64,7 @@ case $- in *i*)
         . "$_tactile_install/share/bash-completion/completions/tactile"
     elif [ -n "${ZSH_VERSION-}" ]; then
         eval 'fpath=("$_tactile_install/share/zsh/site-functions" $fpath)'
+        command -v compdef >/dev/null || { autoload -Uz compinit && compinit -i -D; }  # where .zshrc has none
         ! command -v compdef >/dev/null || { autoload -Uz _tactile && compdef _tactile tactile; }
     fi ;;
 esac

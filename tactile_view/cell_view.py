@@ -140,7 +140,7 @@ class _ArmView:
         self._scene3d, self._root, self._arm, self._skin = scene3d, f"/arms/{name}", arm, skin
         self._feels = arm is None or arm.sensor is not None
         radius = TIP_RADIUS if arm is None or arm.sensor is None else arm.sensor.settings.tip_radius
-        self._base = scene3d.add_frame(self._root, axes_length=0.05, axes_radius=0.002)
+        self._base = scene3d.add_frame(self._root, show_axes=False)
         self._tip = scene3d.add_frame(f"{self._root}/tip", axes_length=0.03, axes_radius=8e-4)
         vertices, faces = dome(radius)
         scene3d.add_mesh_simple(

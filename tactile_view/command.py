@@ -98,6 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
         say(console, OPEN_TO_OTHERS.format(do=do), "yellow")
     try:
         page.run(lambda: bool(signals))
+        page.say_end()
     finally:
         page.close()
     return _code(signals)

@@ -7,9 +7,9 @@ import functools
 import io
 import time
 from collections.abc import Callable
+from html import escape
 from typing import Any, Protocol
 
-import numpy as np
 import viser
 
 from tactile_bringup.launching.page_process import free_port
@@ -17,11 +17,19 @@ from tactile_scene.scene import Scene
 from tactile_view.cell_state import CellState
 from tactile_view.cell_view import CellView
 from tactile_view.door import only_own_pages, token_for
-from tactile_view.drawing import look_from
+from tactile_view.follower import CameraFollower
 from tactile_view.panels import BeliefPanel, MotionPanel, TouchPanel
-from tactile_view.words import events_in_words, set_html, state_in_words, troubles_in_words
+from tactile_view.words import (
+    events_in_words,
+    other_in_words,
+    set_html,
+    state_in_words,
+    troubles_in_words,
+)
 
 SCENE_PERIOD, PLOT_PERIOD, WORDS_PERIOD, TOUCH_PERIOD = 0.06, 0.25, 0.25, 0.12  # s, between two looks at it
+ENDED = "<b>This page has ended</b>, as has its run. <i>tactile view BAG</i> shows a recording."
+LAST_WORD = 0.3  # s, for it to arrive
 POLL, IDLE = 0.02, 0.2  # s, while somebody looks and while nobody does
 
 
@@ -98,7 +106,7 @@ class Page:
         size = gui.add_slider("uncertainty, times", 1.0, 50.0, 1.0, options.uncertainty)
         size.on_update(lambda event: setattr(options, "uncertainty", event.target.value))
         self.follow = gui.add_checkbox("camera follows the tip", True)
-        self._followed: dict[int, Any] = {}  # what each page looked at last
+        self._followers: dict[int, CameraFollower] = {}  # of each page
 
     def _choose(self, name: str, event: Any) -> None:
         setattr(self.view.options, name, event.target.value)
@@ -136,9 +144,23 @@ class Page:
             self._belief.show(state, self.state.now_ns)
             self._motion.show(state, self.state.now_ns)
         if self._is_due("words", WORDS_PERIOD):
-            set_html(self._words, state_in_words(state, self.view.skin(self.arm)))
+            set_html(self._words, self._state_in_words())
             set_html(self._troubles, troubles_in_words(self.state, self.view.remarks))
             set_html(self._events, events_in_words(self.state))
+
+    def _state_in_words(self) -> str:
+        """Of the arm that is looked at all, of the others what they do."""
+        state = self.state.arms[self.arm]
+        words = state_in_words(state, self.view.skin(self.arm))
+        others = [each for name, each in sorted(self.state.arms.items()) if name != self.arm]
+        if others:
+            words = "<br>".join([f"<b>{escape(self.arm)}</b>", words, *map(other_in_words, others)])
+        return words
+
+    def say_end(self) -> None:
+        """Leave a word on the page, which stays as it is when nobody serves it any more."""
+        set_html(self._words, ENDED)
+        time.sleep(LAST_WORD)
 
     def _is_due(self, what: str, period: float) -> bool:
         now = time.monotonic()
@@ -152,14 +174,9 @@ class Page:
         tips = self.view.tips(self.state)
         if not tips:
             return
-        middle = np.mean(tips, axis=0)[:3, 3]
         for number, client in self.server.get_clients().items():
             if client.camera.update_timestamp == 0.0:
                 continue  # it has yet to say where it looks from
-            count, before = self._followed.get(number, (0, middle))
-            self._followed[number] = len(tips), middle
+            follower = self._followers.setdefault(number, CameraFollower())
             with client.atomic():
-                if count != len(tips):
-                    client.camera.position, client.camera.look_at = look_from(tips)
-                elif self.follow.value and (abs(middle - before) > 1e-5).any():
-                    client.camera.position = client.camera.position + (middle - before)
+                follower.step(client.camera, tips, self.follow.value)

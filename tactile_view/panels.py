@@ -15,9 +15,8 @@ from viser import uplot
 from tactile_base.stamps import SECOND_NS
 from tactile_records.replay.images import image_of
 from tactile_records.runs.euler_poses import (
-    COMPONENTS,
-    UNIT_NAMES,
     UNITS,
+    component,
     euler_poses,
     euler_sigmas,
     inverses,
@@ -35,6 +34,8 @@ BELIEF, REFERENCE, TRUTH, BAND = "#1e78dc", "#787878", "#14963c", "rgba(30, 120,
 SMALL_PLOT, IMAGE_WIDTH = 150, 480  # pixels
 ROOM, MOST_ROOM = 0.3, 5.0  # times the numbers' own range: beside them; of all of it
 LEAST_RANGE = 0.2  # mm or deg, so that noise does not fill a chart
+NO_IMAGE = "no image: a recording has them if it was made with --record-images<br>"
+ORDER = "z", "alpha", "beta", "x", "y", "gamma"  # in which a user wants to see them
 
 
 def thinned(n: int) -> slice:
@@ -104,7 +105,10 @@ class TouchPanel:
     def show(self, state: ArmState) -> None:
         """Show the newest image and estimate."""
         message = state.image
-        if message is not None and message.received_ns != self._shown:
+        if message is None:
+            set_html(self._words, NO_IMAGE + estimate_in_words(state))
+            return
+        if message.received_ns != self._shown:
             self._shown = message.received_ns
             found = image_of(self._types(message.type).fielddefs, message)
             if found.pixels is None:
@@ -132,12 +136,13 @@ class BeliefPanel:
         lines = (("-2σ", BAND), ("+2σ", BAND), ("belief", BELIEF), ("reference", REFERENCE), ("truth", TRUTH))
         server.gui.add_html(
             "Sensor in the feature frame: <span style='color:#1e78dc'>belief, ± 2σ</span>, "
-            "<span style='color:#787878'>reference</span>, <span style='color:#14963c'>truth</span>"
+            "<span style='color:#787878'>reference</span>, <span style='color:#14963c'>truth</span>, of the "
+            f"last {WINDOW:g} s"
         )
-        self._plots = [
-            Plot(server, f"{name} ({unit})", lines, band=True)
-            for name, unit in zip(COMPONENTS, UNIT_NAMES, strict=True)
-        ]
+        self._plots = {}
+        for name in ORDER:
+            column, _, what = component(name)
+            self._plots[column] = Plot(server, what, lines, band=True)
 
     def show(self, state: ArmState, now_ns: int) -> None:
         """Draw the last seconds."""
@@ -153,7 +158,7 @@ class BeliefPanel:
         reference = held(state, "command", "reference", series.stamp_ns, 6) * UNITS
         truth = self._truth(state, series.stamp_ns) * UNITS
         seconds = (series.stamp_ns - now_ns) / SECOND_NS
-        for k, plot in enumerate(self._plots):
+        for k, plot in self._plots.items():
             low, high = mean[:, k] - 2 * sigma[:, k], mean[:, k] + 2 * sigma[:, k]
             plot.show(seconds, low, high, mean[:, k], reference[:, k], truth[:, k])
 

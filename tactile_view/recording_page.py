@@ -76,7 +76,7 @@ class RecordingPage(Page):
             self._show_events()
         if self._time.max < recording.duration:
             self._time.max = round(recording.duration, 2)
-        if abs(self._time.value - recording.seconds) > 0.1:
+        if abs(self._time.value - recording.seconds) > (0.1 if recording.playing else 5e-3):
             self._time.value = round(recording.seconds, 2)
 
     def _show_events(self) -> None:

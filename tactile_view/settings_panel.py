@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from html import escape
 from typing import Any
 
@@ -15,6 +15,8 @@ from tactile_bringup.tuning_files import saved
 from tactile_view.words import set_html
 
 PLAIN = (bool, int, float, str)
+FINEST = 1e-6  # of a number: the page rounds to it
+TANGENT = 6  # numbers: x, y, z, then about them
 
 
 class SettingsPanel:
@@ -87,6 +89,8 @@ class SettingsPanel:
             handle = gui.add_slider(name, lower, upper, step, value, hint=hint)
         elif isinstance(value, int | float):
             handle = gui.add_number(name, value, hint=hint)
+        elif len(value) == TANGENT and all(isinstance(each, float) for each in value):
+            handle = _SixNumbers(gui, name, value, hint)
         else:
             handle = gui.add_text(name, _shown(value), hint=hint)
         handle.on_update(lambda event: self._changed(setting, event))
@@ -96,7 +100,7 @@ class SettingsPanel:
         """An element has a new value: by a person, or by us, where there is no client."""
         if event.client is None:
             return
-        key, value = (setting.node, setting.name), event.target.value
+        key, value = (setting.node, setting.name), self._handles[setting.name].value
         try:
             value = setting.parsed(value) if isinstance(value, str) else value
         except SettingError as error:
@@ -108,7 +112,8 @@ class SettingsPanel:
 
     def _put(self, node: str, name: str) -> None:
         if node == self._node and (handle := self._handles.get(name)) is not None:
-            handle.value = _shown(self.tuning.now[node, name])
+            value = self.tuning.now[node, name]
+            handle.value = value if isinstance(handle, _SixNumbers) else _shown(value)
 
     def _press(self, button: str) -> None:
         if button == "save":
@@ -133,3 +138,30 @@ class SettingsPanel:
 def _shown(value: Any) -> Any:
     """A value as an element has it; of a list its text."""
     return value if isinstance(value, PLAIN) else value_text(value)
+
+
+class _SixNumbers:
+    """An element of two rows, for a list of six: along x, y and z, and about them."""
+
+    def __init__(self, gui: Any, name: str, value: Sequence[float], hint: str | None) -> None:
+        self._rows = [
+            gui.add_vector3(f"{name} {axes}", tuple(value[k : k + 3]), step=FINEST, hint=hint)
+            for k, axes in ((0, "x y z"), (3, "α β γ"))
+        ]
+
+    @property
+    def value(self) -> tuple[float, ...]:
+        return tuple(float(each) for row in self._rows for each in row.value)
+
+    @value.setter
+    def value(self, value: Sequence[float]) -> None:
+        for k, row in enumerate(self._rows):
+            row.value = tuple(value[3 * k : 3 * k + 3])
+
+    def on_update(self, call: Callable[[Any], None]) -> None:
+        for row in self._rows:
+            row.on_update(call)
+
+    def remove(self) -> None:
+        for row in self._rows:
+            row.remove()

@@ -106,6 +106,13 @@ def state_in_words(state: ArmState, skin: SkinModel | None = None) -> str:
     return "<br>".join(lines) or "nothing heard yet"
 
 
+def other_in_words(state: ArmState) -> str:
+    """What an arm does that is not looked at, in a line."""
+    task, arm = state.controller, state.status
+    mode = "" if arm is None or arm.mode >= len(MODES) else f", arm {MODES[arm.mode]}"
+    return f"{escape(state.name)}: {'; '.join(_task_lines(task)) if task is not None else 'no task'}{mode}"
+
+
 def _task_lines(task: Any) -> list[str]:
     progress = "" if math.isnan(task.progress) else f", {100 * task.progress:.0f} %"
     goal = f" <i>{escape(task.goal_name)}</i>" if task.goal_name else ""

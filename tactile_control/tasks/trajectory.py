@@ -18,7 +18,7 @@ from tactile_geometry import se3
 Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-4  # s of path time; velocities are central differences of poses, exact to 1e-8 of them
-_TOLD = 30  # poses of the trajectory, where it is told what lies ahead
+_TOLD = 150  # poses of the trajectory, where it is told what lies ahead
 _STEPS = 1000  # in which a period is integrated: to a micrometre for the paper's motion
 BASE, START, TOOL = "base", "start", "tool"
 WAITED = 0.1  # s between two steps of the move, in which the arm has waited: it goes on from there
