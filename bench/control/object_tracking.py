@@ -33,6 +33,7 @@ PREDICTION = "follower.prediction.enabled=true"
 DEPTH = "follower.servoing.reference=[0, 0, 0.004, 0, 0, 0]"
 ROOM = [f"{arm}.limiter.{kind}" for arm in ("leader", "follower")
         for kind in ("linear_speed=2.0", "angular_speed=6.0")]  # fmt: skip
+ROOM += [f"follower.surface.{room}" for room in ("speed=0.3", "turn_rate=3.0", "depth_margin=0.004")]
 FILES = {"ours": OURS, "the paper's": PAPER}
 OBJECTS = {
     "flat plate": "tracking_flat", "Rubik's cube": "tracking_cube",

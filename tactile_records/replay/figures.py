@@ -23,8 +23,8 @@ MOST_POINTS = 2000  # a line
 LEGEND_COLUMNS = 3
 BANDS = 3  # more runs than this are drawn without bands
 _WELL = (
-    "Dashed: two standard deviations about the run of that color. When all is well, the truth stays between "
-    "them, and NIS / 6 is about 1."
+    "Band, or dashed: two standard deviations about the run of that color. When all is well, the truth stays "
+    "within, and NIS / 6 is not above 1; far below it the estimates are better than they say."
 )
 
 

@@ -123,7 +123,8 @@ def contact(record: RunRecord) -> Figure:
     figure.suptitle(f"{record.scene}: contact pose, settling (shaded), then {record.work}", weight="bold")
     caption(
         figure,
-        "When all is well, depth and angles keep to the green line and the truth stays in the blue band.",
+        "When all is well, depth and angles keep to the green line, and the truth to the blue band; shear "
+        "is the least certain.",
     )
     return figure
 

@@ -65,7 +65,7 @@ def test_one_gain_of_six_is_changed_and_the_others_stay(cell, viewer):
     depth = field(viewer, "pid.kp x y z")
     depth.fill("1.5")
     depth.press("Enter")
-    assert told(cell, viewer, "is in force") and gains(cell) == [*was[:2], 1.5, *was[3:]]
+    assert told(cell, viewer, "pid.kp = [0.0, 0.0, 1.5") and gains(cell) == [*was[:2], 1.5, *was[3:]]
     viewer.page.get_by_text("undo", exact=True).click()
     assert cell.graph.wait(lambda: gains(cell) == was)
     roll = field(viewer, "task.roll")
