@@ -1,7 +1,7 @@
-"""Does the simulated skin stick, slip and push as real ones do? z: depth, N: normal force, k: shear stiffness.
+"""Does the simulated skin stick, slip and push as real ones do? z: depth, N: normal force, k: its stiffness.
 
     python bench/simulation/real_skin.py forces DATA/tacpad_ur5/train
-    python bench/simulation/real_skin.py sticking DATA/tactip_franka/train DATA/cr_tactip/train
+    python bench/simulation/real_skin.py sticking DATA/tactip_franka/train
 
 Followed are the markers around the point of contact, within 0.7 of the angle that the depth cuts off.
 """
@@ -57,7 +57,7 @@ def forces(folder: Path) -> None:
     """A pad with a force sensor behind it; simulated tips on a plane."""
     data = open_folder(folder)
     rows = np.column_stack([data.euler_mm_deg, [row.force for row in data.rows]])
-    heads = "z (mm), contacts, N (N), F_t / N: 50; 95; 99 %, k (N/mm), k z / N, at 0-1 mm, 1-1.5, 1.5-2, 2-2.8"
+    heads = "z (mm), contacts, N (N), F_t / N: 50; 95; 99 %, k (N/mm), k z / N, at 0-1 mm, 1-1.5, 1.5-2, 2-3"
     table = Table((heads + ", by Mindlin, friction, a line leaves (N), Mindlin").split(", "), HOW)
     for low, high in (*((z, z + 0.5) for z in np.arange(0, 4, 0.5)), (0.5, 4), (0.5, 2), (2, 4)):
         b = rows[(rows[:, 2] >= low) & (rows[:, 2] < high) & (rows[:, 8] > 0.3)]
@@ -67,7 +67,7 @@ def forces(folder: Path) -> None:
             continue
         most = np.percentile(np.hypot(b[:, 6], b[:, 7]) / b[:, 8], (50, 95, 99)).round(2)
         table.row(f"{low}-{high}", len(b), f"{b[:, 8].mean():.2f}", most, *banded(stiffness, b))
-    table = Table("sensor, z (mm), N (N), k z / N, F_t / N at 1 mm, 2, 3, 4, 5".split(", "), "no noise")
+    table = Table(["sensor", "z (mm)", "N (N)", "k z / N", "F_t / N at 1 mm", "2", "3", "4", "5"], "no noise")
     for name, z in ((name, z) for name in SENSORS for z in (1, 2, 3, 4, 6, 8)):
         poses = np.array([(s, 0, z, 0, 0, 0) for s in (0, 0.3, 1, 2, 3, 4, 5)])
         truth = [sensor.truth() for sensor in pressed(SensorFile(SENSORS[name].sensor), poses)]
@@ -127,7 +127,7 @@ def contacts(labels: Array, rest: Array, positions: Array) -> Iterator[tuple[int
 def sticking(*folders: Path) -> None:
     """Real TacTips, and simulated ones with 2000 of the first one's labels."""
     tracks = [labelled_markers.track(folder) for folder in folders]
-    named = {str(f.parent.name): (t.labels, t.rest, t.positions) for f, t in zip(folders, tracks, strict=True)}
+    named = {f.parent.name: (t.labels, t.rest, t.positions) for f, t in zip(folders, tracks, strict=True)}
     labels = np.random.default_rng(0).permutation(tracks[0].labels)[:2000]
     for name, file in SENSORS.items():
         places = np.array([sensor.marker_pixels for sensor in pressed(file, labels)])

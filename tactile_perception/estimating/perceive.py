@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # percepts of an ideal sensor need no onnxruntime
 
 PLAIN_ERRORS = 4.0  # RMS errors of a plain depth that an estimate may be off it
 APART = 2  # images on end in which it is further off, so that it is refused
-# of the depth, that an estimate may be off as well: deeper than the contacts of the training both guess, and
+# of its depth, that an estimate may be off as well: deeper than the contacts of the training both guess, and
 # in tracking with the paper's gains, which press up to 9 mm, they are up to 2.2 mm apart (simulated)
 DEPTH_SHARE = 0.3
 
@@ -78,7 +78,7 @@ class DepthAgreement:
         if percept.estimate is None:
             return percept
         depth, plain = depth_of(percept.estimate), percept.plain_depth
-        limit = max(limit, DEPTH_SHARE * max(depth, plain))
+        limit = max(limit, DEPTH_SHARE * depth)
         self._apart = self._apart + 1 if abs(depth - plain) > limit else 0  # of NaN nothing is known
         if self._apart < APART:
             return percept

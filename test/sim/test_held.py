@@ -295,7 +295,7 @@ def test_a_follower_at_the_papers_depth_keeps_contact_over_a_period_of_the_paper
 
 @pytest.mark.parametrize("name", ["cube", "mustard"])
 def test_a_follower_that_presses_too_little_loses_the_object_when_the_hand_lets_go(name):
-    cell, truths = followed(load_scene(f"tracking_{name}").with_fidelity("ideal"), 0.001, 5, still)
+    cell, truths = followed(load_scene(f"tracking_{name}").with_fidelity("ideal"), 0.0005, 6, still)
     touched = [truth.in_contact for truth in truths]
     start = touched.index(True)
     assert all(touched[start : start + 110])  # while the hand holds it, for two seconds
