@@ -68,8 +68,9 @@ class SettingsPanel:
     def finished(self, request: Request, taken: Collection[tuple[str, str]], refusals: list[str]) -> None:
         """Nodes have taken these of the changes, and refused the others, whose elements go back."""
         self.tuning.finished(request, taken)
-        for node, name in request.changes:
-            self._put(node, name)
+        for key, asked in request.changes.items():
+            if key in taken or self._shows(key[1], asked):  # else somebody has gone on meanwhile
+                self._put(*key)
         told = [f"{name} = {value_text(self.tuning.now[node, name])} is in force" for node, name in taken]
         self.say("; ".join(refusals or [*told, f"set {self.tuning.chosen}"]), not refusals)
 
@@ -110,10 +111,13 @@ class SettingsPanel:
         if value != self.tuning.now.get(key):
             self._want(lambda: self.tuning.change({key: value}))
 
+    def _shows(self, name: str, value: Any) -> bool:
+        handle = self._handles.get(name)
+        return handle is not None and handle.value == _as_shown(handle, value)
+
     def _put(self, node: str, name: str) -> None:
         if node == self._node and (handle := self._handles.get(name)) is not None:
-            value = self.tuning.now[node, name]
-            handle.value = value if isinstance(handle, _SixNumbers) else _shown(value)
+            handle.value = _as_shown(handle, self.tuning.now[node, name])
 
     def _press(self, button: str) -> None:
         if button == "save":
@@ -133,6 +137,10 @@ class SettingsPanel:
             self.say("saved: " + "; ".join(saved(self.tuning)))
         except (SettingError, OSError) as error:
             self.say(str(error), ok=False)
+
+
+def _as_shown(handle: Any, value: Any) -> Any:
+    return value if isinstance(handle, _SixNumbers) else _shown(value)
 
 
 def _shown(value: Any) -> Any:
