@@ -62,9 +62,9 @@ class Exposures:
 
 
 def objection(image: Pixels, least_contrast: float) -> str:
-    """Why a gray image (rows, columns) shows nothing; empty where its gray levels vary by enough."""
+    """Why an image shows nothing; empty where its gray levels, or those of one color, vary by enough."""
     mean, deviation = cv2.meanStdDev(np.ascontiguousarray(image[::4, ::4]))
-    contrast = float(deviation[0, 0])
+    contrast = float(deviation.max())
     if contrast >= least_contrast:
         return ""
     return (
@@ -73,8 +73,10 @@ def objection(image: Pixels, least_contrast: float) -> str:
     )
 
 
-def gray_of_jpeg(data: bytes | memoryview | Pixels) -> Pixels:
-    """The luma (rows, columns) of a JPEG that is whole; a camera's may lack its Huffman tables.
+def pixels_of_jpeg(data: bytes | memoryview | Pixels, color: bool = False) -> Pixels:
+    """The luma (rows, columns) or the colors (rows, columns, 3) of a JPEG that is whole.
+
+    A camera's may lack its Huffman tables.
 
     A decoder fills what it cannot read with gray, or with what it takes for the image, and goes on: a packet
     that is lost on the bus leaves a picture of which a part has moved. It knows, and says so here. Up to
@@ -93,11 +95,11 @@ def gray_of_jpeg(data: bytes | memoryview | Pixels) -> Pixels:
         raise DamagedJpeg(f"{data.size} bytes that are no JPEG: {error}") from error
     if height * width > _MOST_PIXELS:
         raise DamagedJpeg(f"{data.size} bytes that claim to be {width}x{height} pixels")
-    image = np.empty((height, width, 1), np.uint8)
+    image = np.empty((height, width, 3 if color else 1), np.uint8)
     try:
-        simplejpeg.decode_jpeg(data, "GRAY", buffer=image)
+        simplejpeg.decode_jpeg(data, "BGR" if color else "GRAY", buffer=image)
     except ValueError as error:
         padding = _PADDING.search(str(error))
         if padding is None or int(padding[1]) > _MOST_PADDING:
             raise DamagedJpeg(f"a JPEG of {data.size} bytes with damage inside: {error}") from error
-    return image[:, :, 0]
+    return image if color else image[:, :, 0]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
+from tactile_perception.estimating.image import gray
 from tactile_perception.markers.detection import DetectedMarkers, detect
 from tactile_perception.markers.focus import blur
 from tactile_perception.markers.view import draw_markers
@@ -67,6 +68,7 @@ class Look:
 
 def look(image: NDArray[np.uint8]) -> Look:
     """Find the markers of an image."""
+    image = gray(image)
     markers = detect(image)
     return Look(image, markers, blur(image, markers))
 

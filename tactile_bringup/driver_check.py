@@ -57,8 +57,8 @@ def check_camera(kind: Any, scene: str, arm: str) -> Problems:
 
 def _images(frames: list[Any], kept: list[bytes]) -> Problems:
     first = np.asarray(frames[0].image)
-    if first.ndim != 2 or first.dtype != np.uint8:
-        yield f"images are {first.dtype} {first.shape}, must be uint8 (height, width)"
+    if first.dtype != np.uint8 or first.ndim not in (2, 3) or first.shape[2:] not in ((), (3,)):
+        yield f"images are {first.dtype} {first.shape}, must be uint8 (height, width) or (height, width, 3)"
         return
     if any(np.asarray(frame.image).shape != first.shape for frame in frames):
         yield "images change their size"

@@ -1,4 +1,4 @@
-"""Frames of a video device as exposures: gray, with the time of exposure in ROS time, or refused and counted.
+"""Frames of a video device as exposures, with their time in ROS time, or refused and counted.
 
 What is refused is not published, so that the arm stops as it does when a camera falls silent: a frame that is
 torn or damaged inside, of another size, without anything to see on it (a dark lamp, a covered lens), equal to
@@ -13,18 +13,26 @@ import time
 from collections import Counter, deque
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.exposures import DamagedJpeg, Exposures, gray_of_jpeg, objection
+from tactile_base.exposures import DamagedJpeg, Exposures, objection, pixels_of_jpeg
 from tactile_base.stamps import SECOND_NS
 from tactile_scene.camera import CameraFrame
 
 Pixels = NDArray[np.uint8]
 MONOTONIC, REALTIME, ARRIVAL = "kernel, CLOCK_MONOTONIC", "kernel, CLOCK_REALTIME", "arrival in this program"
-#: Formats of a device whose frames can be made gray without making colors first.
+#: Formats of a device whose frames can be made gray without making colors first, or become colors.
 FORMATS = ("MJPG", "YUYV", "UYVY", "GREY", "NV12")
 _LUMA_BYTE = {"YUYV": 0, "UYVY": 1}
+#: OpenCV's conversions to blue, green and red.
+_COLORS = {
+    "YUYV": cv2.COLOR_YUV2BGR_YUYV,
+    "UYVY": cv2.COLOR_YUV2BGR_UYVY,
+    "GREY": cv2.COLOR_GRAY2BGR,
+    "NV12": cv2.COLOR_YUV2BGR_NV12,
+}
 _OLDEST, _AHEAD = SECOND_NS, 5_000_000  # ns; ages of a frame's stamp that can be, when it has just arrived
 _STRANGE = 10  # frames stamped by no clock that is known, until it is the device's own
 _TOGETHER, _READINGS = 20_000, 5  # ns between two readings of a clock; attempts at less
@@ -101,6 +109,7 @@ class FrameIntake:
     delay : from the middle of an exposure to its stamp, s
     least_contrast : smallest standard deviation of gray levels of an image; 0: any
     repeats : whether a frame that equals the one before is one
+    color : whether images are blue, green and red, else gray
     lost : exposures that are missing, by the gaps between stamps
     """
 
@@ -111,6 +120,7 @@ class FrameIntake:
     delay: float = 0.0
     least_contrast: float = 0.0
     repeats: bool = False
+    color: bool = False
     lost: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     last_refusal: str = ""
@@ -156,17 +166,17 @@ class FrameIntake:
 
     def _image(self, raw: Pixels) -> Pixels:
         repeated = "" if self.repeats else self._exposures.repeats(raw)
-        image = gray_frame(raw, self.form, self.width, self.height)
+        image = frame_image(raw, self.form, self.width, self.height, self.color)
         if why := objection(image, self.least_contrast) or repeated:
             raise FrameRefused(why)
         return image
 
 
-def gray_frame(raw: Pixels, form: str, width: int, height: int) -> Pixels:
-    """A frame in the device's own format as a gray image (height, width).
+def frame_image(raw: Pixels, form: str, width: int, height: int, color: bool = False) -> Pixels:
+    """A frame in the device's own format as a gray image (height, width), or in color (height, width, 3).
 
-    Of Y'UV the luma is taken as it is, of a JPEG the luma alone is decoded: colors would cost several times
-    as much and be thrown away.
+    For a gray one the luma of Y'UV is taken as it is, of a JPEG the luma alone is decoded: colors would cost
+    several times as much and be thrown away.
 
     Raises
     ------
@@ -175,7 +185,7 @@ def gray_frame(raw: Pixels, form: str, width: int, height: int) -> Pixels:
     """
     if form == "MJPG":
         try:
-            image = gray_of_jpeg(raw)
+            image = pixels_of_jpeg(raw, color)
         except DamagedJpeg as error:
             raise FrameRefused(f"torn: {error}") from error
     else:
@@ -184,8 +194,12 @@ def gray_frame(raw: Pixels, form: str, width: int, height: int) -> Pixels:
         if raw.dtype != np.uint8 or raw.size != rows * width * channels:
             what = f"{raw.dtype} {raw.shape} is no {form} of {width}x{height} pixels"
             raise FrameRefused(f"of another size: {what}")
-        image = np.ascontiguousarray(raw.reshape(rows, width, channels)[:height, :, _LUMA_BYTE.get(form, 0)])
-    if image.shape != (height, width):
+        cells = raw.reshape(rows, width, channels)
+        if color:
+            image = np.asarray(cv2.cvtColor(cells, _COLORS[form]), np.uint8)
+        else:
+            image = np.ascontiguousarray(cells[:height, :, _LUMA_BYTE.get(form, 0)])
+    if image.shape[:2] != (height, width):
         found = f"{image.shape[1]}x{image.shape[0]}"
         raise FrameRefused(f"of another size: {found} pixels, must be {width}x{height}")
     return image

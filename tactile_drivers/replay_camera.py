@@ -31,6 +31,7 @@ class ReplayCameraSettings(Settings):
     """What a scene says of a recording; the rate is the sensor's `camera_rate`."""
 
     path: str = setting("", doc="a video file or a folder of images, seen from the scene's folder")
+    color: bool = setting(False, doc="images in blue, green and red (bgr8); else gray (mono8)")
     loop: bool = setting(True, doc="begin again at the end; else there are no more frames then")
 
 
@@ -45,10 +46,10 @@ class ReplayCamera:
         assert arm.sensor is not None
         self.rate = arm.sensor.settings.camera_rate
         self._path = arm.sensor.camera_settings.path.parent / settings.path
-        self._loop, self._report = settings.loop, report
+        self._loop, self._color, self._report = settings.loop, settings.color, report
         self._shown = self._late = 0
         self._fault = ""
-        if next(pictures(self._path), None) is None:
+        if next(pictures(self._path, settings.color), None) is None:
             raise OSError(f"{self._path}: is no video that can be read, and no folder of images")
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -69,7 +70,7 @@ class ReplayCamera:
         due = time.monotonic()
         while True:
             shown = self._shown
-            for picture in pictures(self._path):
+            for picture in pictures(self._path, self._color):
                 due += 1.0 / self.rate
                 late = int((time.monotonic() - due) * self.rate)
                 if late > 0:  # slower than the rate: time goes on, no picture is left out
@@ -83,19 +84,21 @@ class ReplayCamera:
                 return
 
 
-def pictures(path: Path) -> Iterator[Pixels]:
-    """Gray pictures of a video file, or of a folder in the order of the numbers in their names."""
+def pictures(path: Path, color: bool = False) -> Iterator[Pixels]:
+    """Pictures, gray or in color, of a video file, or of a folder by the numbers in their names."""
     if path.is_dir():
         names = (n for n in path.iterdir() if n.suffix.lower() in SUFFIXES and n.is_file())
-        found = (cv2.imread(str(name), cv2.IMREAD_GRAYSCALE) for name in sorted(names, key=_order))
+        how = cv2.IMREAD_COLOR if color else cv2.IMREAD_GRAYSCALE
+        found = (cv2.imread(str(name), how) for name in sorted(names, key=_order))
         yield from (np.asarray(picture, np.uint8) for picture in found if picture is not None)
     elif path.is_file():
         capture = cv2.VideoCapture(str(path))
         try:
             while (read := capture.read())[0]:
                 picture = read[1]
-                gray = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-                yield np.asarray(gray, np.uint8)
+                if color != (picture.ndim == 3):
+                    picture = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR if color else cv2.COLOR_BGR2GRAY)
+                yield np.asarray(picture, np.uint8)
         finally:
             capture.release()
 

@@ -54,6 +54,7 @@ class UvcCameraSettings(Settings):
         "/dev/video0", doc="path of the device; one below /dev/v4l/by-id stays when it is plugged in again"
     )
     format: str = setting("MJPG", choices=FORMATS, doc="of the device's frames")
+    color: bool = setting(False, doc="images in blue, green and red (bgr8); else gray (mono8)")
     width: int = setting(640, unit="px", lower=16, upper=8192, doc="of the images")
     height: int = setting(480, unit="px", lower=16, upper=8192, doc="of the images")
     exposure: float = setting(0.008, unit="s", lower=0.0, upper=1.0, doc="time of exposure; 0: automatic")
@@ -147,7 +148,8 @@ class UvcCamera:
 
     def _new_intake(self, lost: int) -> FrameIntake:
         s = self.settings
-        return FrameIntake(s.width, s.height, s.format, self.rate, s.delay, s.least_contrast, s.repeats, lost)
+        checks = s.delay, s.least_contrast, s.repeats
+        return FrameIntake(s.width, s.height, s.format, self.rate, *checks, s.color, lost)
 
     def _run(self, capture: Capture | None) -> None:
         while capture is not None:

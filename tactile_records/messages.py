@@ -13,7 +13,7 @@ from tactile_base.stamps import SECOND_NS, parts_from_ns
 from tactile_control.phases import Command
 from tactile_filter.belief import Belief
 from tactile_geometry import se3
-from tactile_perception.estimating.encodings import MONO8
+from tactile_perception.estimating.encodings import encoding_of
 from tactile_scene.arm import ArmState
 from tactile_sim.frame import Frame
 from tactile_wire.cdr import Layout, blank_layout
@@ -118,18 +118,22 @@ def state_bytes(
 
 
 def bytes_from_array(stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> bytes:
-    """Image, mono8, of a gray image (height, width) uint8."""
-    if image.ndim != 2 or image.dtype != np.uint8:
-        raise MessageError(f"image: must be uint8 (height, width), is {image.dtype} {image.shape}")
-    height, width = image.shape
-    head = _head(frame_id, image.size).pack(*split_stamp(stamp_ns), height, width, 0, width)
+    """Image of a gray one (height, width) uint8, mono8, or one in color (height, width, 3), bgr8."""
+    if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)):
+        raise MessageError(
+            f"image: must be uint8 (height, width) or (height, width, 3), is {image.dtype} {image.shape}"
+        )
+    height, width = image.shape[:2]
+    head = _head(frame_id, image.size, encoding_of(image)).pack(
+        *split_stamp(stamp_ns), height, width, 0, image.size // height
+    )
     return b"".join((head, np.ascontiguousarray(image).data))
 
 
 @functools.lru_cache(maxsize=16)
-def _head(frame_id: str, size: int) -> Layout:
+def _head(frame_id: str, size: int, encoding: str) -> Layout:
     """What stands before the pixels."""
-    texts = {FRAME: frame_id, "encoding": MONO8}
+    texts = {FRAME: frame_id, "encoding": encoding}
     return blank_layout(topics.IMAGE.type, texts, {PIXELS: size}).before(PIXELS)
 
 

@@ -20,7 +20,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from tactile_base.stamps import ns_from_parts, parts_from_ns
-from tactile_perception.estimating.encodings import gray_of
+from tactile_perception.estimating.encodings import pixels_of
 from tactile_perception.estimating.image import ImageError
 from tactile_wire.errors import MessageError
 from tactile_wire.pose_numbers import numbers_from_pose, pose_from_numbers
@@ -80,8 +80,10 @@ def transform_stamped(stamp_ns: int, parent: str, child: str, T_parent_child: Ar
     return TransformStamped(header=header(stamp_ns, parent), child_frame_id=child, transform=transform)
 
 
-def array_from_image(message: Image) -> NDArray[np.uint8]:
-    """Gray image (height, width) uint8; of mono8 it shares the message's memory, see `encodings.gray_of`.
+def array_from_image(message: Image, color: bool = False) -> NDArray[np.uint8]:
+    """Gray image (height, width) uint8, or with `color` (height, width, 3) of one that has colors.
+
+    It may share the message's memory, see `encodings.pixels_of`.
 
     Raises
     ------
@@ -89,15 +91,16 @@ def array_from_image(message: Image) -> NDArray[np.uint8]:
         If the encoding is not known, or width, height, step and the number of bytes contradict each other.
     """
     pixels = np.frombuffer(message.data, dtype=np.uint8)
-    return checked_image(pixels, int(message.height), int(message.width), int(message.step), message.encoding)
+    numbers = int(message.height), int(message.width), int(message.step)
+    return checked_image(pixels, *numbers, message.encoding, color)
 
 
 def checked_image(
-    pixels: NDArray[np.uint8], height: int, width: int, step: int, encoding: str
+    pixels: NDArray[np.uint8], height: int, width: int, step: int, encoding: str, color: bool = False
 ) -> NDArray[np.uint8]:
-    """The pixels of a message as gray (height, width); raises `MessageError` as `array_from_image`."""
+    """The pixels of a message as `array_from_image` gives them; raises `MessageError` as that does."""
     try:
-        return gray_of(pixels, height, width, step, encoding)
+        return pixels_of(pixels, height, width, step, encoding, color)
     except ImageError as error:
         raise MessageError(str(error)) from error
 

@@ -81,11 +81,12 @@ class PosedImages:
     """The newest image, as soon as the pose of its sensor at the exposure is known, which may come later.
 
     `take` is the callback for images, `match` is called when poses have come; `act` is called when `newest`,
-    the latest image with its pose, has changed.
+    the latest image with its pose, has changed. `color`: images that have colors keep them.
     """
 
     def __init__(self, node: ManagedNode, act: Callable[[], None]) -> None:
         self._node, self._act = node, act
+        self.color = False
         self.transforms: TransformListener | None = None
         self.forget()
 
@@ -96,7 +97,7 @@ class PosedImages:
 
     def take(self, received: Received) -> None:
         """Keep an image until its pose is known; raises `MessageError` where it cannot be read."""
-        image = received.array().copy()
+        image = received.array(self.color).copy()
         if self._pending is not None:
             self._node.count("images without a pose in time")
         self._pending = received.stamp_ns, image

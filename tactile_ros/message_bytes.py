@@ -124,9 +124,9 @@ class ReceivedImage:
     step: int
     pixels: NDArray[np.uint8]
 
-    def array(self) -> NDArray[np.uint8]:
-        """Gray image (height, width) uint8; raises `MessageError` as `conversions.array_from_image`."""
-        return checked_image(self.pixels, self.height, self.width, self.step, self.encoding)
+    def array(self, color: bool = False) -> NDArray[np.uint8]:
+        """The image, gray or in color; raises `MessageError` as `conversions.array_from_image`."""
+        return checked_image(self.pixels, self.height, self.width, self.step, self.encoding, color)
 
 
 @dataclass(frozen=True)
@@ -137,10 +137,10 @@ class ReceivedCompressed:
     form: str
     data: memoryview
 
-    def array(self) -> NDArray[np.uint8]:
-        """Gray image (height, width) uint8; raises `MessageError` as `encodings.decompressed` would."""
+    def array(self, color: bool = False) -> NDArray[np.uint8]:
+        """The image, gray or in color; raises `MessageError` as `encodings.decompressed` would."""
         try:
-            return decompressed(self.data, self.form)
+            return decompressed(self.data, self.form, color)
         except ImageError as error:
             raise MessageError(str(error)) from error
 

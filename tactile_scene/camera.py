@@ -47,8 +47,8 @@ class CameraFrame:
     ----------
     stamp_ns : int
         Time in the middle of the exposure, ns of ROS time.
-    image : ndarray (height, width) uint8
-        Gray image.
+    image : ndarray (height, width) or (height, width, 3), uint8
+        Gray, or blue, green and red.
     lost : int
         Exposures known to be lost since the start.
     """

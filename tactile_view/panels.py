@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from viser import uplot
 
 from tactile_base.stamps import SECOND_NS
+from tactile_perception.estimating.image import gray, in_color
 from tactile_records.replay.images import image_of
 from tactile_records.runs.euler_poses import (
     UNITS,
@@ -110,7 +111,7 @@ class TouchPanel:
             return
         if message.received_ns != self._shown:
             self._shown = message.received_ns
-            found = image_of(self._types(message.type).fielddefs, message)
+            found = image_of(self._types(message.type).fielddefs, message, color=True)
             if found.pixels is None:
                 set_html(self._words, f"image refused: {escape(found.fault)}")
                 return
@@ -122,11 +123,11 @@ class TouchPanel:
 
     def _draw(self, pixels: Array) -> None:
         if self.choice.value == MARKERS:
-            self._image.image, words = marker_picture(pixels)
+            self._image.image, words = marker_picture(gray(pixels))
             self._markers = f"{escape(words)}<br>"
             return
         every = max(1, round(pixels.shape[1] / IMAGE_WIDTH))
-        self._image.image, self._markers = np.repeat(pixels[::every, ::every, None], 3, axis=2), ""
+        self._image.image, self._markers = in_color(pixels[::every, ::every])[:, :, ::-1], ""
 
 
 class BeliefPanel:

@@ -83,7 +83,7 @@ def untrained(out: Path, names: list[str] | None, images: np.ndarray) -> Iterato
             PoseNetwork(config.network).eval(), path, ModelMetadata(settings, {}, {"untrained": True})
         )
         prepare = Preprocessor(settings)
-        prepared = np.array([prepare.resized(prepare.binary(image)) for image in images])
+        prepared = np.array([prepare.resized(prepare.processed(image)) for image in images])
         yield Model(name, "fp32", path)
         yield Model(name, "int8", quantize(path, prepared, path.with_name(f"{path.stem}_int8.onnx")))
 

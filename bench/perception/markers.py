@@ -54,7 +54,7 @@ def main() -> None:
         sensor.reset(seed=index)
         press_then_shear(sensor, pose_of(SamplingSettings(), 1, index))
         image, true = sensor.image(), sensor.marker_pixels
-        binary = preprocessor.binary(image)
+        binary = preprocessor.processed(image)
         markers = timed(times["detect, camera image"], lambda image=image: detect(image))
         cropped = timed(times["detect, pre-processed"], lambda binary=binary: detect(binary))
         change = timed(

@@ -116,4 +116,4 @@ class ProcessedSample:
 
     def __call__(self, number: int) -> tuple[bytes, list[float]]:
         sample = self.collector(self.start + number - 1)
-        return as_png(Preprocessor(self.preprocessing).binary(sample.image)), sample.euler_mm_deg.tolist()
+        return as_png(Preprocessor(self.preprocessing).processed(sample.image)), sample.euler_mm_deg.tolist()

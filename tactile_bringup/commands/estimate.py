@@ -60,7 +60,7 @@ def run_estimate(arguments: argparse.Namespace) -> int:
     if Path(arguments.source).is_dir():
         frames, contact_filter, total = _from_folder(arguments, estimator, console)
     else:
-        frames, contact_filter, total = _from_video(arguments)
+        frames, contact_filter, total = _from_video(arguments, estimator.metadata.preprocessing.color)
     if estimator.path == shipped_model() and not _simulated(Path(arguments.source)):
         say(console, f"note: {SIMULATED_ONLY}", "yellow")
     with Progress(console) as progress:
@@ -86,6 +86,8 @@ def _from_folder(
         folder.check_labelled()
     if model.unknown:
         say(console, f"{estimator.path}: {model.says_unknown()}", "yellow")
+    if folder.preprocessing.difference:
+        estimator.preprocessor.reference = folder.preprocessor().reference
     order = usable_order(folder, arguments.seed, arguments.limit)
     say(console, "\n".join(folder.report.lines()))
     frames = folder_frames(folder, order)
@@ -96,7 +98,7 @@ def _from_folder(
     return frames, contact_filter, len(order)
 
 
-def _from_video(arguments: argparse.Namespace) -> tuple[Any, Any, int | None]:
+def _from_video(arguments: argparse.Namespace, color: bool) -> tuple[Any, Any, int | None]:
     """Frames of a video or a camera, and their filter; how many there are, only a limit says."""
     source: str | int = arguments.source
     if arguments.source.isdecimal():
@@ -105,7 +107,7 @@ def _from_video(arguments: argparse.Namespace) -> tuple[Any, Any, int | None]:
         raise SourceError(f"{source}: is neither a data folder, nor a video file, nor the index of a camera")
     poses = read_poses(arguments.poses) if arguments.poses else None
     contact_filter = ContactFilter(load_filter_settings()) if poses and not arguments.no_filter else None
-    frames = _until_interrupted(video_frames(source, poses, arguments.limit))
+    frames = _until_interrupted(video_frames(source, poses, arguments.limit, color))
     return frames, contact_filter, arguments.limit
 
 

@@ -86,19 +86,39 @@ class TactileFolder:
         return len(self.names)
 
     def image(self, index: int) -> Image:
-        """Image `index` as stored, gray; `ImageError` if it cannot be read or has the wrong size."""
+        """Image `index` as stored; `ImageError` if it cannot be read or has the wrong size or colors."""
         path = self.image_folder / self.names[index]
-        image, settings = read_image(path), self.preprocessing
-        cropped = self.processed or image.shape == settings.crop_shape  # by its camera
-        return check_image(image, settings.crop_shape if cropped else settings.raw_shape, str(path))
+        settings = self.preprocessing
+        image = read_image(path, settings.color)
+        cropped = self.processed or image.shape[:2] == settings.crop_shape  # by its camera
+        shape = settings.crop_shape if cropped else settings.raw_shape
+        return check_image(image, shape, str(path), settings.color)
 
     def reference(self) -> Image | None:
         """The image without contact, which tools keep as number 0; None where there is no usable one."""
         path = self.image_folder / layout.REFERENCE_NAME
         try:
-            return read_image(path) if path.exists() and layout.REFERENCE_NAME not in self.names else None
+            if layout.REFERENCE_NAME in self.names or not path.exists():
+                return None
+            return read_image(path, self.preprocessing.color)
         except ImageError:
             return None
+
+    def preprocessor(self) -> Preprocessor:
+        """For its images, with the one without contact where they are compared with that.
+
+        Raises `DatasetError` where there is none.
+        """
+        result = Preprocessor(self.preprocessing)
+        if self.preprocessing.difference:
+            reference = self.reference()
+            if reference is None:
+                raise DatasetError(
+                    f"{self.folder}: has no {self.image_folder.name}/{layout.REFERENCE_NAME}, the image "
+                    "without contact that others are to be compared with (preprocessing.difference)"
+                )
+            result.reference = reference if self.processed else result.processed(reference)
+        return result
 
     def check_labelled(self) -> None:
         """`DatasetError` unless all six components are labelled."""
@@ -110,9 +130,9 @@ class TactileFolder:
             )
 
     def resized(self, index: int, preprocessor: Preprocessor) -> Image:
-        """Image `index` pre-processed to uint8 (size, size)."""
+        """Image `index` pre-processed to uint8 (size, size[, 3])."""
         image = self.image(index)
-        return preprocessor.resized(image if self.processed else preprocessor.binary(image))
+        return preprocessor.resized(image if self.processed else preprocessor.processed(image))
 
 
 @dataclass
@@ -121,11 +141,12 @@ class TactileDataset:
 
     Attributes
     ----------
-    images : uint8 (N, size, size)
+    images : uint8 (N, size, size), or in color (N, size, size, 3)
     euler_mm_deg : float64 (N, 6), Euler surface contact pose of X_fs
     force : float64 (N, 3) in N
     labelled : those of their components that are labelled; the others mean nothing
     sha256 : hash over names, labels and image files, in order
+    reference : the processed image without contact, where images are compared with it
     """
 
     names: list[str]
@@ -136,6 +157,7 @@ class TactileDataset:
     preprocessing: PreprocessingSettings
     sha256: str
     report: DatasetReport
+    reference: Image | None = None
 
     def __len__(self) -> int:
         return len(self.names)
@@ -268,6 +290,7 @@ def read_dataset(
         preprocessing=source.preprocessing,
         sha256=digest.hexdigest(),
         report=source.report,
+        reference=source.preprocessor().reference,
     )
 
 
@@ -277,7 +300,7 @@ def _loaded(source: TactileFolder, chosen: list[int]) -> Iterator[tuple[int, Ima
 
     def load(index: int) -> tuple[int, Image | ImageError, str]:
         if not hasattr(own, "preprocessor"):
-            own.preprocessor = Preprocessor(source.preprocessing)
+            own.preprocessor = source.preprocessor()
         try:
             image = source.resized(index, own.preprocessor)
         except ImageError as error:

@@ -60,7 +60,7 @@ def _preprocessing(
     values = {key: params[key] for key in ("bbox", "circle_mask_radius") if params.get(key) is not None}
     if not any(values.get("bbox") or [1]):
         del values["bbox"]  # as some tools write that there is no crop
-    values |= {key: params[key] for key in ("median", "threshold_method") if key in params}
+    values |= {key: params[key] for key in ("median", "threshold_method", "difference") if key in params}
     if params.get("thresh") is not None:
         block_and_offset = params["thresh"]
         if not isinstance(block_and_offset, list) or len(block_and_offset) != 2:

@@ -99,7 +99,7 @@ class DatasetWriter:
     def add_image(self, number: int, image: Image) -> None:
         """Store a camera image; 0 is the number of the image without contact, which has no row."""
         if self.kind != "raw":
-            write_processed(self.folder, number, as_png(self._preprocessor.binary(image)), self._durable)
+            write_processed(self.folder, number, as_png(self._preprocessor.processed(image)), self._durable)
         if self.kind != "processed":
             path = self.folder / layout.RAW_IMAGES_NAME / image_name(number)
             _write(path, as_png(image), self._durable)
@@ -173,9 +173,10 @@ class DatasetWriter:
         settings = self.preprocessing
         params = {
             "type": "standard",
-            "gray": True,
+            "gray": not settings.color,
             "thresh": [settings.threshold_block, settings.threshold_offset],
             "threshold_method": settings.threshold_method,
+            "difference": settings.difference,
             "median": settings.median,
             "circle_mask_radius": settings.circle_mask_radius,
             "bbox": list(settings.bbox),

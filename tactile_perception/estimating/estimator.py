@@ -96,18 +96,21 @@ class Estimator:
             self.metadata = ModelMetadata.from_properties(self._session.get_modelmeta().custom_metadata_map)
         except (MetadataError, UnicodeDecodeError) as error:
             raise ModelError(f"{self.path}: {error}") from error
-        side, shapes = self.metadata.preprocessing.size, output_shapes(self.metadata.contact_model.size)
-        _check_tensors(self.path, "input", self._session.get_inputs(), {INPUT_NAME: (1, side, side)})
+        settings, shapes = self.metadata.preprocessing, output_shapes(self.metadata.contact_model.size)
+        side, channels = settings.size, settings.channels
+        _check_tensors(self.path, "input", self._session.get_inputs(), {INPUT_NAME: (channels, side, side)})
         outputs = self._session.get_outputs()
         #: The second output: of standard deviations, or a whole covariance.
         self._uncertainty = next((o.name for o in outputs if o.name == COVARIANCE), INVERSE_SIGMA)
         self._outputs = [MEAN, self._uncertainty]
         _check_tensors(self.path, "output", outputs, {name: shapes[name] for name in self._outputs})
-        self._one = _OneImage(self._session, side, {name: shapes[name] for name in self._outputs})
+        self._one = _OneImage(
+            self._session, (channels, side, side), {name: shapes[name] for name in self._outputs}
+        )
         model = self.metadata.contact_model
         self._pose_alone = model.tangent and not model.forces
         self.force: ForceGaussian | None = None
-        self.preprocessor = Preprocessor(self.metadata.preprocessing)
+        self.preprocessor = Preprocessor(settings, self.metadata.reference)
         self.times = StageTimes()
         self.warm_up()
 
@@ -124,15 +127,15 @@ class Estimator:
         return self._estimate(image, self.preprocessor)
 
     def estimate_processed(self, crop: Image) -> PoseGaussian:
-        """`estimate` of an image that is already cropped and thresholded (`processed_images/`)."""
+        """`estimate` of an image of `processed_images/`."""
         return self._estimate(crop, self.preprocessor.from_processed)
 
     def estimate_prepared(self, prepared: NDArray[np.float32]) -> PoseGaussian:
-        """`estimate` of the preprocessor's output (1, 1, size, size), where that is needed elsewhere too."""
+        """`estimate` of the preprocessor's output, where that is needed elsewhere too."""
         return self._estimate(prepared, None)
 
     def predict(self, prepared: NDArray[np.float32]) -> tuple[Array, Array]:
-        """Many prepared images (N, 1, size, size) -> mean (N, K), calibrated covariance (N, K, K).
+        """Many prepared images (N, channels, size, size) -> mean (N, K), calibrated covariance (N, K, K).
 
         Of what the contact model tells (xi_sf), in mm, rad and N, unchecked: for evaluation.
         """
@@ -146,7 +149,8 @@ class Estimator:
 
     def warm_up(self, runs: int = _WARM_UP_RUNS) -> None:
         """Run black images through all stages; the first runs allocate memory."""
-        black = np.zeros(self.metadata.preprocessing.raw_shape, np.uint8)
+        settings = self.metadata.preprocessing
+        black = np.zeros((*settings.raw_shape, settings.channels), np.uint8)
         for _ in range(runs):
             self._one.run(self.preprocessor(black))
 
@@ -196,18 +200,21 @@ class _OneImage:
     """Runs a session on one image in memory that stays where it is, which saves a tenth of a millisecond."""
 
     def __init__(
-        self, session: onnxruntime.InferenceSession, side: int, outputs: dict[str, tuple[int, ...]]
+        self,
+        session: onnxruntime.InferenceSession,
+        shape: tuple[int, int, int],
+        outputs: dict[str, tuple[int, ...]],
     ) -> None:
         self._session = session
         self._binding = session.io_binding()
-        self._image = np.zeros((1, 1, side, side), np.float32)
+        self._image = np.zeros((1, *shape), np.float32)
         self._answers = [np.zeros((1, *shape), np.float32) for shape in outputs.values()]
         self._binding.bind_cpu_input(INPUT_NAME, self._image)
         for name, array in zip(outputs, self._answers, strict=True):
             self._binding.bind_output(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
 
     def run(self, prepared: NDArray[np.float32]) -> tuple[Array, Array]:
-        """Prepared image (1, 1, side, side) -> mean (K,) and the other output, (K,) or (K, K)."""
+        """Prepared image (1, channels, side, side) -> mean (K,) and the other output, (K,) or (K, K)."""
         if prepared.shape != self._image.shape:
             raise ImageError(f"prepared image: has the shape {prepared.shape}, must be {self._image.shape}")
         np.copyto(self._image, prepared)

@@ -1,4 +1,7 @@
-"""Tactile images in memory and in files: what is one, the error for what is none, and reading them whole."""
+"""Tactile images in memory and in files: what is one, the error for what is none, and reading them whole.
+
+An image is uint8: gray (rows, columns), or (rows, columns, 3) of blue, green and red where that is asked for.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.exposures import DamagedJpeg, gray_of_jpeg
+from tactile_base.exposures import DamagedJpeg, pixels_of_jpeg
 from tactile_base.input_file import check_regular
 
 Image = NDArray[np.uint8]
@@ -27,45 +30,60 @@ class ImageError(ValueError):
     """An image of the wrong size, type or number of channels."""
 
 
-def check_image(image: object, shape: tuple[int, int] | None, what: str) -> Image:
+def check_image(image: object, shape: tuple[int, int] | None, what: str, color: bool = False) -> Image:
     """`image` if it is uint8 of this (rows, columns), None: of any; else `ImageError` says what it is."""
     if not isinstance(image, np.ndarray):
         raise ImageError(f"{what}: must be a NumPy array, is {type(image).__name__}")
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[:, :, 0]
-    if image.ndim != 2 or image.size == 0:
+    if image.ndim != 2 + color or image.size == 0 or (color and image.shape[2] != 3):
+        kind = "a color image (bgr8)" if color else "a gray image (mono8)"
         size = "" if shape is None else f" of {shape[1]}x{shape[0]}"
-        raise ImageError(f"{what}: must be a gray image (mono8){size}, has the shape {image.shape}")
+        raise ImageError(f"{what}: must be {kind}{size}, has the shape {image.shape}")
     if image.dtype != np.uint8:
-        raise ImageError(f"{what}: must be 8-bit (mono8, uint8), is {image.dtype}")
-    if shape is not None and image.shape != shape:
+        raise ImageError(f"{what}: must be 8-bit (uint8), is {image.dtype}")
+    if shape is not None and image.shape[:2] != shape:
         raise ImageError(
             f"{what}: must be {shape[1]}x{shape[0]} pixels, is {image.shape[1]}x{image.shape[0]}"
         )
     return image
 
 
-def read_image(path: Path) -> Image:
-    """The image, gray; `ImageError` if the file cannot be read, is cut short, or is no image."""
+def gray(image: Image) -> Image:
+    """The luma of an image in color, 0.299 R + 0.587 G + 0.114 B; a gray one as it is."""
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
+def in_color(image: Image) -> Image:
+    """With three channels, which are equal where it is gray."""
+    return image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+
+
+def read_image(path: Path, color: bool = False) -> Image:
+    """The image, gray or in color; `ImageError` if the file cannot be read, is cut short, or is no image."""
     try:
         check_regular(path)
         data = path.read_bytes()
     except OSError as error:
         raise ImageError(f"{path}: cannot be read: {error}") from error
-    return decoded(data, str(path))
+    return decoded(data, str(path), color)
 
 
-def decoded(data: bytes, what: str) -> Image:
-    """The image in the bytes of a file, gray; `ImageError` if it is cut short, damaged, or is no image."""
+def decoded(data: bytes, what: str, color: bool = False) -> Image:
+    """The image in the bytes of a file; `ImageError` if it is cut short, damaged, or is no image.
+
+    A gray one where color is asked for gets three channels that are equal.
+    """
     if data.startswith(_JPEG):
         try:
-            return gray_of_jpeg(data)
+            return pixels_of_jpeg(data, color)
         except DamagedJpeg as error:
             raise ImageError(f"{what}: is not a readable image: {error}") from error
     if data.startswith(_PNG) and _PNG_END not in data[-64:]:
         raise ImageError(f"{what}: is not a readable image (truncated, {len(data)} bytes)")
+    how = cv2.IMREAD_COLOR if color else cv2.IMREAD_GRAYSCALE
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), how) if data else None
     except cv2.error as error:  # as of a size that no image has
         raise ImageError(f"{what}: is not a readable image: {error.err}") from error
     if image is None:
@@ -80,9 +98,9 @@ def packed(image: Image) -> str:
     return base64.b64encode(data.tobytes()).decode()
 
 
-def unpacked(text: str, what: str) -> Image:
+def unpacked(text: str, what: str, color: bool = False) -> Image:
     """The reverse; `ValueError` if it is not in base64, `ImageError` if it is no image."""
-    return decoded(base64.b64decode(text, validate=True), what)
+    return decoded(base64.b64decode(text, validate=True), what, color)
 
 
 def list_images(folder: Path) -> set[str]:

@@ -5,7 +5,7 @@ sensor is refused, whoever sends it: as if it had not come, so that the arm rest
 
 - Of the camera's image: it repeats none of the latest bit for bit, and its gray levels vary.
 - Of the same after the threshold, against the sensor's own image without contact: as many markers, and
-  as much of it white.
+  as much of it white; where there is no threshold, as bright.
 - Of images that follow one another: each is like the one before it, or like the image without contact. One
   that is mirrored, turned, shifted or another one from one image to the next has as many markers, all of them
   elsewhere; those of a skin that is pressed, or springs back, move by a part of their distance.
@@ -124,6 +124,8 @@ class ImageCheck:
     ----------
     settings : ImageCheckSettings
         `configure` replaces them between two images.
+    binary : bool
+        Whether what is looked at has been through a threshold, so that markers can be counted.
     """
 
     def __init__(self, settings: ImageCheckSettings | None = None) -> None:
@@ -134,6 +136,7 @@ class ImageCheck:
         self._before = np.zeros(SIDE * SIDE, np.float32)
         self._stamp_ns: int | None = None
         self._captured: list[Image] = []
+        self.binary = True
 
     def configure(self, settings: ImageCheckSettings) -> None:
         """Look for what these say from the next image on."""
@@ -167,7 +170,7 @@ class ImageCheck:
         self._stillness.add(image)
 
     def look(self, view: Image, touched: bool, stamp_ns: int | None = None) -> None:
-        """Of an image after the threshold, uint8 (SIDE, SIDE), that is no part of a reference.
+        """Of an image as `Preprocessor.view` shows it, uint8 (SIDE, SIDE), that is no part of a reference.
 
         `touched` says whether there was contact in the last image that was not refused, `stamp_ns` when this
         one was exposed, None: right after the one before it. Raises `ImageRefused`; without a reference
@@ -179,11 +182,12 @@ class ImageCheck:
         gap, self._stamp_ns = self._gap(stamp_ns), stamp_ns
         white = float(view.mean()) / reference.white if reference.white else 1.0
         if not settings.least_white <= white <= settings.most_white:
+            what = "as much of it is white" if self.binary else "as bright"
             raise ImageRefused(
-                f"{MARKERS}: {white:.2f} times as much of it is white as without contact, must be "
+                f"{MARKERS}: {white:.2f} times {what} as without contact, must be "
                 f"{settings.least_white:g} to {settings.most_white:g}: is it sharp, and the lens free?"
             )
-        if reference.markers >= _FEWEST:
+        if self.binary and reference.markers >= _FEWEST:
             self._count(count_markers(view), reference.markers)
         direction = _direction(view)
         self._compare(direction, reference, gap if touched else None)

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_perception.estimating.image import Image, ImageError, packed, unpacked
-from tactile_perception.estimating.preprocessing import PreprocessingSettings
+from tactile_perception.estimating.image import Image, ImageError, gray, packed, unpacked
+from tactile_perception.estimating.preprocessing import PreprocessingSettings, brightness
 
 Array = NDArray[np.float64]
 #: By how much another form has to fit better, as a correlation, to be what the camera shows.
@@ -38,17 +38,17 @@ class Layout:
     Attributes
     ----------
     mean : uint8 (size, size)
-        As the network's input.
+        As the network's input, gray.
     """
 
     mean: Image
 
     @classmethod
     def of(cls, images: ArrayLike) -> Layout:
-        """Of prepared images (N, size, size), uint8 or in gray levels."""
-        total = np.zeros(np.shape(images)[1:])
+        """Of prepared images (N, size, size), uint8 or in gray levels, or uint8 (N, size, size, 3)."""
+        total = np.zeros(np.shape(images)[1:3])
         for image in np.asarray(images):
-            total += image
+            total += gray(image)
         return cls(np.rint(total / len(np.asarray(images))).astype(np.uint8))
 
     def to_text(self) -> str:
@@ -69,9 +69,9 @@ class Layout:
     def objection(self, prepared: ArrayLike, settings: PreprocessingSettings) -> str:
         """Which other form of the mean fits an image without contact clearly better; empty: none.
 
-        `prepared` is the network's input (size, size) or (1, 1, size, size).
+        `prepared` is the network's input (size, size) or (1, channels, size, size).
         """
-        image = np.asarray(prepared, float).reshape(self.mean.shape)
+        image = np.asarray(brightness(np.asarray(prepared)), float)
         own = _likeness(image, self.mean)
         other, name = max((_likeness(image, form), name) for name, form in self._forms(settings))
         if other <= own + MARGIN:

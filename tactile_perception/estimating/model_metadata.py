@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tactile_base.input_file import parse_json
 from tactile_base.settings import shown
 from tactile_perception.estimating.contact_model import SURFACE, ContactModel
+from tactile_perception.estimating.image import Image, packed, unpacked
 from tactile_perception.estimating.layout import Layout
 from tactile_perception.estimating.novelty import Novelty
 from tactile_perception.estimating.plain_depth import PlainDepth
@@ -34,7 +35,7 @@ FRAMES = (
     "sensor just touches; inverse_sigma or covariance: of the components around mu. Where they are x, y, z, "
     "alpha, beta, gamma, they are those of X_fs itself (extrinsic xyz)"
 )
-LAYOUT, PLAIN_DEPTH, NOVELTY = "layout", "plain_depth", "novelty"
+LAYOUT, PLAIN_DEPTH, NOVELTY, REFERENCE = "layout", "plain_depth", "novelty", "reference"
 #: Entry with the SHA-256 of the whole file as it is with `UNSUMMED` in the entry's place.
 CHECKSUM = "file_sha256"
 UNSUMMED = "-" * 64
@@ -46,7 +47,7 @@ SIMULATED_ONLY = (
     "the shipped model has seen simulated images alone: of a real sensor it only guesses; train one of your "
     "own (docs/own_sensor.md)"
 )
-_VIEWS = LAYOUT, PLAIN_DEPTH, NOVELTY  # of the training images, with texts of their own
+_VIEWS = LAYOUT, PLAIN_DEPTH, NOVELTY, REFERENCE  # of the training images, with texts of their own
 _REQUIRED = ("format", "preprocessing", "components", "units", "frames", "training_data", "validation")
 
 
@@ -74,6 +75,7 @@ class ModelMetadata:
     known
     plain_depth : depth by a weighted sum of brightness, which the network is held against; None: not known
     novelty : whether an image is like those of the training; None: not known
+    reference : the training's image without contact, where images are compared with it
     contact_model : what the network tells, and what labels have fixed of it; a file without it: a surface
     """
 
@@ -85,6 +87,7 @@ class ModelMetadata:
     layout: Layout | None = None
     plain_depth: PlainDepth | None = None
     novelty: Novelty | None = None
+    reference: Image | None = None
     contact_model: ContactModel = SURFACE
     frames: str = FRAMES
 
@@ -117,7 +120,11 @@ class ModelMetadata:
         values |= {"components": self.components, "units": self.units}
         calibration, views = values.pop("calibration"), {name: values.pop(name) for name in _VIEWS}
         texts = {name: json.dumps(value) for name, value in values.items()}
-        texts |= {name: view.to_text() for name, view in views.items() if view is not None}
+        texts |= {
+            name: packed(view) if name == REFERENCE else view.to_text()
+            for name, view in views.items()
+            if view is not None
+        }
         return {"format": FORMAT, **texts, "calibration": calibration.to_json(), CHECKSUM: UNSUMMED}
 
     @classmethod
@@ -142,7 +149,8 @@ class ModelMetadata:
             if PLAIN_DEPTH in properties:
                 values[PLAIN_DEPTH] = PlainDepth.from_text(properties[PLAIN_DEPTH])
             if NOVELTY in properties:
-                values[NOVELTY] = Novelty.from_text(properties[NOVELTY], values["preprocessing"].size)
+                values[NOVELTY] = Novelty.from_text(properties[NOVELTY], values["preprocessing"])
+            values[REFERENCE] = _reference(properties.get(REFERENCE), values["preprocessing"])
         except (ValueError, TypeError) as error:
             raise MetadataError(f"unreadable metadata: {error}") from error
         for name, expected in (("units", model.units), ("components", model.names)):
@@ -154,6 +162,15 @@ class ModelMetadata:
             raise MetadataError(f"calibration: is not of the {model.size} quantities of the contact model")
         _check_facts(values)
         return cls(**values)
+
+
+def _reference(text: str | None, settings: PreprocessingSettings) -> Image | None:
+    """The image without contact of a file; `ValueError` where it lacks one that it needs."""
+    if not settings.difference:
+        return None
+    if text is None:
+        raise MetadataError(f"has no {REFERENCE}, with which preprocessing.difference compares")
+    return unpacked(text, REFERENCE, settings.color)
 
 
 _JSON_NAMES = (

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from tactile_base.input_file import parse_json
 from tactile_perception.estimating.image import Image, ImageError, packed, unpacked
+from tactile_perception.estimating.preprocessing import PreprocessingSettings, as_input
 
 Array = NDArray[np.float32]
 
@@ -45,7 +46,7 @@ class Novelty:
 
     Attributes
     ----------
-    mean, spread : uint8 (size, size)
+    mean, spread : uint8 (size, size), or in color (size, size, 3)
     limit : float
         1.5 times what 99.5 % of the training images stay below, each measured against all others.
     usual : float
@@ -58,8 +59,8 @@ class Novelty:
     usual: float
 
     def __call__(self, prepared: Array) -> float:
-        """Of the network's input, (size, size) or (1, 1, size, size): 0 and up; foreign above 1."""
-        deviation = (prepared.reshape(self.mean.shape) - self._center) * self._weight
+        """Of the network's input, (size, size) or (1, channels, size, size): 0 and up; foreign above 1."""
+        deviation = (prepared.reshape(self._center.shape) - self._center) * self._weight
         return float(np.vdot(deviation, deviation)) / (deviation.size * self.limit)
 
     def growth(self, novelty: float) -> float:
@@ -68,15 +69,15 @@ class Novelty:
 
     @cached_property
     def _center(self) -> Array:
-        return self.mean * np.float32(1.0 / 255.0)
+        return as_input(self.mean)[0]
 
     @cached_property
     def _weight(self) -> Array:
-        return 1.0 / (self.spread * np.float32(1.0 / 255.0) + FLOOR)
+        return 1.0 / (as_input(self.spread)[0] + FLOOR)
 
     @classmethod
     def fit(cls, images: Image) -> Novelty:
-        """Of prepared images (N, size, size), uint8; `NoveltyError` for fewer than three."""
+        """Of prepared images (N, size, size[, 3]), uint8; `NoveltyError` for fewer than three."""
         count = len(images)
         if count < 3:
             raise NoveltyError(f"novelty: needs at least three images, has {count}")
@@ -102,17 +103,18 @@ class Novelty:
         return json.dumps({**images, "limit": self.limit, "usual": self.usual})
 
     @classmethod
-    def from_text(cls, text: str, size: int) -> Novelty:
+    def from_text(cls, text: str, settings: PreprocessingSettings) -> Novelty:
         """The reverse; `NoveltyError` says what is wrong."""
         try:
             values = parse_json(text)
-            mean, spread = (unpacked(values[name], name) for name in ("mean", "spread"))
+            mean, spread = (unpacked(values[name], name, settings.color) for name in ("mean", "spread"))
             limit, usual = float(values["limit"]), float(values["usual"])
         except (ImageError, ValueError, TypeError, KeyError) as error:
             raise NoveltyError(f"novelty: must hold mean, spread, limit and usual: {error!r}") from error
-        if mean.shape != (size, size) or spread.shape != (size, size):
+        shape = (settings.size, settings.size, 3)[: 2 + settings.color]
+        if mean.shape != shape or spread.shape != shape:
             raise NoveltyError(
-                f"novelty: mean and spread are {mean.shape} and {spread.shape}, must be ({size}, {size})"
+                f"novelty: mean and spread are {mean.shape} and {spread.shape}, must be {shape}"
             )
         if not (0.0 < limit < np.inf and 0.0 < usual < 1.0):
             raise NoveltyError(f"novelty: limit is {limit}, usual {usual}: must be positive, usual below 1")

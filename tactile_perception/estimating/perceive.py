@@ -15,8 +15,7 @@ from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.estimating.image import Image
 from tactile_perception.estimating.image_check import SIDE, ImageCheck, ImageRefused
 from tactile_perception.estimating.labels import EstimateError
-from tactile_perception.estimating.preprocessing import as_input
-from tactile_perception.estimating.presence import ContactPresence
+from tactile_perception.estimating.presence import ContactPresence, Presence
 
 if TYPE_CHECKING:  # percepts of an ideal sensor need no onnxruntime
     from tactile_perception.estimating.estimator import Estimator
@@ -113,8 +112,10 @@ class Perceiver:
         self.presence = presence
         self.check = check or ImageCheck()
         self._kept: Image | None = None
+        self._captured: list[Image] = []  # of a reference, before the difference to it
         self._agreement = DepthAgreement()
         if presence is not None:
+            self.check.binary = estimator.metadata.preprocessing.binary
             presence.objection = self._no_reference
 
     def __call__(self, image: Image, processed: bool = False, stamp_ns: int | None = None) -> Percept:
@@ -130,8 +131,7 @@ class Perceiver:
             percept = self._estimated(make, image, None, float("nan"))
             if self.estimator.metadata.novelty is None:
                 return percept
-            seen = self.estimator.preprocessor.view(self.estimator.metadata.preprocessing.size)
-            return self._widened(percept, self._novelty(as_input(seen)))
+            return self._widened(percept, self._novelty(self.estimator.preprocessor.again()))
         self.catch_up()
         prepare = self.estimator.preprocessor
         prepared = prepare.from_processed(image) if processed else prepare(image)
@@ -146,8 +146,8 @@ class Perceiver:
         else:
             self.check.capture(view)
         presence = self.presence.update(prepared)
-        if presence.in_contact is None and (self.presence.ready or presence.refused):
-            self.check.take(not presence.refused)
+        if presence.in_contact is None:
+            self._capture(presence)
         if not presence.in_contact:
             return Percept(presence.in_contact, presence.score, fault=presence.refused, novelty=novelty)
         percept = self._estimated(self.estimator.estimate_prepared, prepared, True, presence.score)
@@ -157,6 +157,20 @@ class Perceiver:
             return percept
         percept = replace(percept, plain_depth=plain(prepared))
         return self._agreement(percept, max(limit, PLAIN_ERRORS * plain.rms))
+
+    def _capture(self, presence: Presence) -> None:
+        """An image was taken for the reference; its last one decides whether they become that."""
+        assert self.presence is not None
+        prepare = self.estimator.preprocessor
+        if prepare.settings.difference:
+            self._captured.append(prepare.latest.copy())
+        if not (self.presence.ready or presence.refused):
+            return
+        self.check.take(not presence.refused)
+        captured, self._captured = self._captured, []
+        if captured and not presence.refused:
+            prepare.reference = np.rint(np.mean(captured, axis=0)).astype(np.uint8)
+            self.presence.set_reference([prepare.from_processed(image) for image in captured])
 
     def catch_up(self) -> None:
         """Do what need not be known before a percept is on its way; at the next image at the latest."""

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.input_file import parse_json
-from tactile_perception.estimating.image import Image
+from tactile_perception.estimating.image import Image, gray
+from tactile_perception.estimating.preprocessing import brightness
 
 Array = NDArray[np.float64]
 
@@ -49,19 +50,21 @@ class PlainDepth:
     rms: float
 
     def __call__(self, prepared: NDArray[np.float32]) -> float:
-        """Depth (m) of a contact by the network's input, (size, size) or (1, 1, size, size)."""
-        return self.constant + float(np.vdot(self.weights, _fields(prepared.reshape(prepared.shape[-2:]))))
+        """Depth (m) of a contact by the network's input, (size, size) or (1, channels, size, size)."""
+        return self.constant + float(np.vdot(self.weights, _fields(brightness(prepared))))
 
     @classmethod
     def fit(cls, images: Image, depths: ArrayLike) -> PlainDepth:
-        """Of prepared images (N, size, size), uint8, and their true depths (N,), m.
+        """Of prepared images (N, size, size[, 3]), uint8, and their true depths (N,), m.
 
         Raises `PlainDepthError` for fewer than two images.
         """
         depths = np.asarray(depths, np.float64)
         if len(depths) < 2:
             raise PlainDepthError(f"plain depth: needs at least two images, has {len(depths)}")
-        fields = np.array([_fields(image) for image in images], np.float64).reshape(len(depths), -1) / 255.0
+        fields = (
+            np.array([_fields(gray(image)) for image in images], np.float64).reshape(len(depths), -1) / 255.0
+        )
         middle, mean = fields.mean(axis=0), float(depths.mean())
         centered = fields - middle
         scales, axes = np.linalg.eigh(centered.T @ centered)

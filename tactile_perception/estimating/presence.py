@@ -113,7 +113,7 @@ class ContactPresence:
 
     @property
     def reference(self) -> Prepared | None:
-        """Mean no-contact image (size, size), or None."""
+        """Mean no-contact image, (size, size) or in color (size, size, 3), or None."""
         return self._reference
 
     def configure(self, settings: PresenceSettings) -> None:
@@ -123,14 +123,14 @@ class ContactPresence:
             self.capture()
 
     def set_reference(self, images: ArrayLike) -> None:
-        """Make the reference from prepared images without contact, (N, ..., size, size) with N >= 2.
+        """Make the reference from prepared images without contact, N >= 2 of them, each as for `update`.
 
         Raises `ValueError` with fewer than two images: the noise could not be estimated.
         """
         stack = np.asarray(images, dtype=np.float32)
         if stack.ndim < 3 or len(stack) < 2:
             raise ValueError(f"presence reference: must be at least two images, has the shape {stack.shape}")
-        stack = stack.reshape(len(stack), *stack.shape[-2:])
+        stack = np.stack([_picture(image) for image in stack])
         self._in_contact = self._capturing = False
         # Frames judged by a reference that they are part of would look calmer than new ones: each half is
         # judged by the other.
@@ -144,17 +144,17 @@ class ContactPresence:
         self._reference, self._noise = _mean_and_noise(stack)
 
     def update(self, prepared: Prepared) -> Presence:
-        """Score one prepared image (size, size) or (1, 1, size, size).
+        """Score one prepared image (size, size) or (1, channels, size, size).
 
         Raises `ValueError` if its size is not the reference's.
         """
-        image = prepared.reshape(prepared.shape[-2:])
         if self._capturing:
-            self._captured.append(image.copy())
+            self._captured.append(prepared.copy())
             if len(self._captured) >= self.settings.reference_frames:
                 return Presence(float("nan"), None, self._take_captured(prepared))
             return Presence(float("nan"), None)
         assert self._reference is not None
+        image = _picture(prepared)
         if image.shape != self._reference.shape:
             raise ValueError(f"presence: image is {image.shape}, the reference {self._reference.shape}")
         score = self._score(image)
@@ -166,7 +166,7 @@ class ContactPresence:
         captured, self._captured = self._captured, []
         refused = self.objection(last)
         if not refused and self._compare and self._reference is not None:
-            score, threshold = self._score(np.mean(captured, axis=0)), self._threshold(False)
+            score, threshold = self._score(_picture(np.mean(captured, axis=0))), self._threshold(False)
             if score >= threshold:
                 refused = f"its change against the last one is {score:.3f}, must be below {threshold:.3f}"
         if not refused:
@@ -193,12 +193,20 @@ class ContactPresence:
 def largest_change(image: Prepared, reference: Prepared, noise: Prepared, window: int) -> float:
     """Largest mean over window x window pixels of max(0, |image - reference| - noise).
 
-    All are (rows, cols) and within 0 and 1. A change of more than 1, or NaN, counts as 1.
+    All are (rows, cols) or (rows, cols, colors), of which the largest counts, and within 0 and 1. A change of
+    more than 1, or NaN, counts as 1.
     """
     change = np.abs(image - reference) - noise
     np.fmin(change, np.float32(1.0), out=change)  # of NaN and 1 that is 1
     np.maximum(change, np.float32(0.0), out=change)
     return float(cv2.blur(change, (window, window), borderType=cv2.BORDER_REFLECT_101).max())
+
+
+def _picture(prepared: Prepared) -> Prepared:
+    """A network's input as (size, size), or in color (size, size, 3)."""
+    if prepared.ndim < 3 or prepared.shape[-3] == 1:
+        return prepared.reshape(prepared.shape[-2:])
+    return np.ascontiguousarray(np.moveaxis(prepared.reshape(prepared.shape[-3:]), 0, -1))
 
 
 def _mean_and_noise(stack: Prepared) -> tuple[Prepared, Prepared]:

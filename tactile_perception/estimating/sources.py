@@ -15,7 +15,7 @@ from tactile_base.input_file import check_regular
 from tactile_base.stamps import SECOND_NS
 from tactile_perception.datasets.dataset import DatasetError, TactileFolder
 from tactile_perception.estimating.contact_model import ContactModel
-from tactile_perception.estimating.image import Image, ImageError
+from tactile_perception.estimating.image import Image, ImageError, gray, in_color
 from tactile_perception.estimating.labels import EULER_COLUMNS, EULER_COMPONENTS, surface_contact_pose
 
 
@@ -29,7 +29,7 @@ class Frame:
 
     Attributes
     ----------
-    processed : the image is already cropped and thresholded
+    processed : the image is one of `processed_images/`
     label : Euler surface contact pose (6,) in mm and degrees, or None
     force : (3,) in N, as labelled
     labelled : what of both is
@@ -74,9 +74,9 @@ def folder_frames(folder: TactileFolder, order: NDArray[np.int64], period_s: flo
 
 
 def video_frames(
-    source: str | int, poses: list[NDArray[np.float64]] | None, limit: int | None
+    source: str | int, poses: list[NDArray[np.float64]] | None, limit: int | None, color: bool = False
 ) -> Iterator[Frame]:
-    """Frames of a video file or of a camera (by index), as gray camera images.
+    """Frames of a video file or of a camera (by index), as camera images, gray or in color.
 
     Raises `SourceError` if the source does not open or gives no frame, or there are fewer poses than frames.
 
@@ -99,9 +99,9 @@ def video_frames(
                 break
             if poses is not None and count >= len(poses):
                 raise SourceError(f"{source}: has more frames than there are poses ({len(poses)})")
-            gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, np.uint8)
+            picture = (in_color if color else gray)(np.asarray(image, np.uint8))
             pose = None if poses is None else poses[count]
-            yield Frame(f"frame {count}", round(count / rate * SECOND_NS), gray, False, None, pose)
+            yield Frame(f"frame {count}", round(count / rate * SECOND_NS), picture, False, None, pose)
             count += 1
         if count == 0:
             raise SourceError(f"{source}: gave no frame")

@@ -65,11 +65,11 @@ class Stillness:
         self._before: NDArray[np.float32] | None = None
 
     def add(self, image: Image) -> None:
-        """Take the next gray image (rows, columns), uint8; one of another size is the first of others."""
+        """Take the next image, uint8; one of another size is the first of others."""
         if image.shape != self._shape:
             self._forget()
             self._shape = image.shape
-        stride = max(1, round(math.sqrt(image.size / _PIXELS)))
+        stride = max(1, round(math.sqrt(image.shape[0] * image.shape[1] / _PIXELS)))
         pixels = image[::stride, ::stride].astype(np.float32).ravel()
         if self._before is None:
             self._gathered = pixels.copy()

@@ -71,6 +71,7 @@ class RunData:
     report : lines on what was found in the folders
     model : what the network is to tell, and what of it the training data label
     start : the network to start from; None: random weights
+    reference : the image without contact, where images are compared with it
     """
 
     training: Samples
@@ -82,6 +83,7 @@ class RunData:
     report: list[str]
     model: ContactModel = SURFACE
     start: Start | None = None
+    reference: Image | None = None
 
 
 def load_data(
@@ -110,6 +112,7 @@ def load_data(
     data = arrange(training, validation, config, preprocessing)
     if start is None:
         return data
+    start.check_channels(preprocessing.channels)
     if start.facts.get(_MODEL) != data.facts.get(_MODEL):
         start = start.without_head()
     # what the start has learned from, the new network will have seen as well
@@ -150,6 +153,7 @@ def arrange(
         facts=facts,
         report=report,
         model=model,
+        reference=training.reference,
     )
 
 
@@ -206,6 +210,15 @@ class Start:
         """For a network that tells something else."""
         weights = {name: value for name, value in self.weights.items() if not name.startswith("head.")}
         return dataclasses.replace(self, weights=weights)
+
+    def check_channels(self, channels: int) -> None:
+        """`SettingError` unless it was trained on images of so many colors."""
+        own = self.weights["base.0.0.weight"].shape[1]
+        if (own % 3 == 0) != (channels == 3):
+            colors = ("gray", "color") if channels == 3 else ("color", "gray")
+            raise SettingError(
+                f"training.start: its network takes {colors[0]} images, these are in {colors[1]}"
+            )
 
     def give(self, network: nn.Module) -> None:
         """Put the weights into a network; what they lack stays as it is."""

@@ -76,6 +76,7 @@ def _joined_metadata(files: Sequence[Path], members: Sequence[ModelMetadata]) ->
         layout=first.layout,
         plain_depth=first.plain_depth,
         novelty=first.novelty,
+        reference=first.reference,
         contact_model=first.contact_model,
     )
 
@@ -100,7 +101,9 @@ def _write(files: Sequence[Path], path: Path, metadata: ModelMetadata) -> None:
         spreads.append(graph.outer(difference, difference, f"spread{index}", size))
     total = graph.node("Sum", covariances + spreads, "covariances.sum")
     graph.node("Div", [total, count], COVARIANCE)
-    model = graph.model(metadata.preprocessing.size, (MEAN, COVARIANCE), size)
+    model = graph.model(
+        metadata.preprocessing.channels, metadata.preprocessing.size, (MEAN, COVARIANCE), size
+    )
     onnx.checker.check_model(model)
     save_model(model, path, metadata)
 

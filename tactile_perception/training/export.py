@@ -34,8 +34,8 @@ def export_onnx(
     """Write `network` as it answers in evaluation mode.
 
     The graph is written node by node rather than traced: it stays the same for every PyTorch version, and
-    its names are readable. Input `image` float32 (N, 1, size, size) in [0, 1]; outputs float32, in mm, rad
-    and N: `mu` (N, K), and `inverse_sigma` (N, K) or `covariance` (N, K, K). What no label has fixed is
+    its names are readable. Input `image` float32 (N, channels, size, size) in [0, 1]; outputs float32, in mm,
+    rad and N: `mu` (N, K), and `inverse_sigma` (N, K) or `covariance` (N, K, K). What no label has fixed is
     answered with its prior.
 
     Parameters
@@ -56,7 +56,9 @@ def export_onnx(
     bias = graph.constant("head.bias", head.bias.detach().numpy())
     last = graph.node("Gemm", [last, weight, bias], "head", transB=1)
     second = write_head(graph, last, network.distribution, sigma)
-    model = graph.model(settings.image_size, (MEAN, second), network.distribution.model.size)
+    model = graph.model(
+        network.channels, settings.image_size, (MEAN, second), network.distribution.model.size
+    )
     onnx.checker.check_model(model)
     return save_model(model, path, metadata)
 
@@ -182,14 +184,15 @@ class GraphWriter:
             "Mul", [self.node("Atan", [half], f"{output}.half"), self.constant("two", 2.0)], output
         )
 
-    def model(self, image_size: int, outputs: tuple[str, ...], size: int) -> onnx.ModelProto:
+    def model(self, channels: int, image_size: int, outputs: tuple[str, ...], size: int) -> onnx.ModelProto:
         """The whole model, with a free batch size, for so many quantities."""
-        image = helper.make_tensor_value_info(INPUT_NAME, TensorProto.FLOAT, ["N", 1, image_size, image_size])
+        shape: list[str | int | None] = ["N", channels, image_size, image_size]
+        source = helper.make_tensor_value_info(INPUT_NAME, TensorProto.FLOAT, shape)
         values = [
             helper.make_tensor_value_info(name, TensorProto.FLOAT, ["N", *output_shapes(size)[name]])
             for name in outputs
         ]
-        graph = helper.make_graph(self.nodes, "pose", [image], values, self.constants)
+        graph = helper.make_graph(self.nodes, "pose", [source], values, self.constants)
         return helper.make_model(
             graph,
             opset_imports=[helper.make_opsetid("", OPSET)],

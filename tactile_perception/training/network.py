@@ -39,12 +39,12 @@ class FirstBlock(ConvBlock):
     """A ConvBlock on the image that normalizes without touching its largest feature map.
 
     Mean and variance of a convolution's output follow from mean and covariance of the patches of its input:
-    with one channel in, far less work than from the output. The normalization then is part of the
+    with one or three channels in, far less work than from the output. The normalization then is part of the
     convolution's weights: the same numbers and gradients. A stride s convolves with 3s x 3s pixels.
     """
 
-    def __init__(self, stride: int, outputs: int, momentum: float) -> None:
-        super().__init__(stride * stride, outputs, momentum)
+    def __init__(self, stride: int, outputs: int, momentum: float, channels: int = 1) -> None:
+        super().__init__(channels * stride * stride, outputs, momentum)
         self.stride = stride
 
     def forward(self, images: Tensor) -> Tensor:
@@ -157,19 +157,20 @@ class MultiDropoutLinear(nn.Module):
 class PoseNetwork(nn.Module):
     """Image -> what the head needs to tell mean and covariance of a contact model's quantities.
 
-    `forward` takes float (N, 1, size, size) in [0, 1] and returns float32 (N, head.outputs).
+    `forward` takes float (N, channels, size, size) in [0, 1] and returns float32 (N, head.outputs).
     """
 
-    def __init__(self, settings: NetworkSettings, model: ContactModel = SURFACE) -> None:
+    def __init__(self, settings: NetworkSettings, model: ContactModel = SURFACE, channels: int = 1) -> None:
         super().__init__()
-        self.settings = settings
+        self.settings, self.channels = settings, channels
         self.distribution: Head = make_head(settings, model)
         momentum = settings.batch_norm_momentum
         blocks = [
             ConvBlock(a, b, momentum, pooled=index < settings.poolings)
             for index, (a, b) in enumerate(pairwise(settings.channels), start=1)
         ]
-        self.base = nn.Sequential(FirstBlock(settings.first_stride, settings.channels[0], momentum), *blocks)
+        first = FirstBlock(settings.first_stride, settings.channels[0], momentum, channels)
+        self.base = nn.Sequential(first, *blocks)
         features = settings.channels[-1] * settings.last_side**2
         dropouts = self.distribution.dropouts
         shared = settings.head == "mse" and len(set(dropouts)) == 1

@@ -32,6 +32,7 @@ from tactile_perception.estimating.model_metadata import (
     CHECKSUM,
     INPUT_NAME,
     LAYOUT,
+    REFERENCE,
     UNSUMMED,
     MetadataError,
     ModelMetadata,
@@ -64,7 +65,7 @@ class QuantizationSettings(Settings):
 
 
 def training_images(folder: Path, model: Path, count: int) -> NDArray[np.uint8]:
-    """`count` images, spread over the folder's table, prepared as the model wants them: (N, size, size).
+    """`count` images, spread over the folder's table, prepared as the model wants them: (N, size, size[, 3]).
 
     Fewer where the folder has fewer or some of these cannot be read.
     """
@@ -86,10 +87,11 @@ def quantize(
     """
     settings = settings or QuantizationSettings()
     model = _load(Path(model_path))
-    side = _metadata(model, Path(model_path)).preprocessing.size
-    if images.ndim != 3 or images.shape[1:] != (side, side) or images.dtype != np.uint8 or not len(images):
+    wanted = _metadata(model, Path(model_path)).preprocessing
+    shape = (wanted.size, wanted.size, 3)[: 2 + wanted.color]
+    if images.shape[1:] != shape or images.dtype != np.uint8 or not len(images):
         raise QuantizationError(
-            f"calibration images: must be uint8 of the shape (N, {side}, {side}), are {images.dtype} of "
+            f"calibration images: must be uint8 of the shape {('N', *shape)}, are {images.dtype} of "
             f"{images.shape}"
         )
     first = _first_block(model, Path(model_path))
@@ -237,7 +239,8 @@ def _note(model: onnx.ModelProto, settings: QuantizationSettings, images: NDArra
     types = {"activations": "uint8", "weights": "int8"}
     training["quantization"] = {**asdict(settings), "images": len(images), **types}
     properties["training"] = json.dumps(training)
-    properties.setdefault(LAYOUT, Layout.of(images).to_text())
+    if REFERENCE not in properties:  # differences to an image show no layout
+        properties.setdefault(LAYOUT, Layout.of(images).to_text())
     properties[CHECKSUM] = UNSUMMED
     del model.metadata_props[:]
     onnx.helper.set_model_props(model, properties)

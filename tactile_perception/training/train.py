@@ -137,7 +137,7 @@ class _Run:
         self.config, self.data = config, data
         self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         self.layout = torch.channels_last if settings.channels_last else torch.contiguous_format
-        self.network = PoseNetwork(config.network, data.model)
+        self.network = PoseNetwork(config.network, data.model, data.preprocessing.channels)
         self.loss_name = self.network.distribution.name
         self.images = torch.from_numpy(data.training.images).to(self.device)
         self.labels = torch.from_numpy(data.training.labels.astype(np.float32)).to(self.device)
@@ -260,9 +260,10 @@ class _Run:
             validation={"loss": self.loss_name, **validation, "epoch": best.number + 1},
             training=training,
             calibration=calibration,
-            layout=Layout.of(self.data.training.images),
+            layout=None if self.data.preprocessing.difference else Layout.of(self.data.training.images),
             plain_depth=PlainDepth.fit(self.data.training.images, model.depths(self.data.training.labels)),
             novelty=Novelty.fit(self.data.training.images),
+            reference=self.data.reference,
             contact_model=model,
         )
         sigma = self._constant_sigma()
@@ -337,8 +338,9 @@ class _Run:
         return Augmenter(data.large, depth, data.preprocessing.crop_shape, settings)
 
     def _input(self, images: Tensor) -> Tensor:
-        """uint8 (N, size, size) -> float (N, 1, size, size) in [0, 1]."""
-        return images.unsqueeze(1).to(torch.float32).mul_(1.0 / 255.0).contiguous(memory_format=self.layout)
+        """uint8 (N, size, size) or (N, size, size, 3) -> float (N, channels, size, size) in [0, 1]."""
+        images = images.unsqueeze(1) if images.ndim == 3 else images.movedim(-1, 1)
+        return images.to(torch.float32).mul_(1.0 / 255.0).contiguous(memory_format=self.layout)
 
 
 def keep_freed_memory() -> None:

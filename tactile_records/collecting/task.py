@@ -253,8 +253,8 @@ class Look:
     """Whether an image shows contact, by a reference that the first images without contact make."""
 
     def __init__(self, settings: DataCollectionSettings) -> None:
-        self._shape = settings.preprocessing.raw_shape
-        self._preprocessor = Preprocessor(settings.preprocessing)
+        # that compares with its own reference: a difference would need one before
+        self._preprocessor = Preprocessor(settings.preprocessing.replaced(difference=0.0))
         self._presence = ContactPresence(settings.presence)
 
     def forget(self) -> None:
@@ -263,7 +263,8 @@ class Look:
 
     def __call__(self, image: Image, without_contact: bool) -> bool | None:
         """None where there is no reference; only images `without_contact` make one. Raises `ImageError`."""
-        check_image(image, self._shape, "camera image")
+        settings = self._preprocessor.settings
+        check_image(image, settings.raw_shape, "camera image", settings.color)
         if not (without_contact or self._presence.ready):
             return None
         return self._presence.update(self._preprocessor(image)).in_contact

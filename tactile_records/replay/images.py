@@ -29,7 +29,7 @@ from tactile_base.topics import (
     sensor_frame,
 )
 from tactile_filter.force import ForceGaussian
-from tactile_perception.estimating.encodings import decompressed, gray_of
+from tactile_perception.estimating.encodings import decompressed, pixels_of
 from tactile_perception.estimating.estimator import Estimator, ModelError
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSettings
@@ -91,7 +91,7 @@ def estimated(bag: Bag, model: Path | None) -> tuple[Bag, list[str]]:
     replaced = {kind.of(arm).name for arm in arms for kind in (ESTIMATE, PRESENCE, WRENCH, FORCE_ESTIMATE)}
     made = {arm: _Estimates(bag, arm, model, remarks) for arm in arms}
     messages: list[Recorded] = []
-    for item in _decoded(bag):
+    for item in _decoded(bag, {arm: each.color for arm, each in made.items()}):
         if isinstance(item, Image):
             messages += made[str(_arm_of(item.message.topic))].of(item)
         elif item.topic not in replaced:
@@ -108,15 +108,17 @@ def _arm_of(topic: str) -> str | None:
     return IMAGE.arm_of(topic) or COMPRESSED.arm_of(topic)
 
 
-def _decoded(bag: Bag) -> Iterator[Recorded | Image]:
-    """All messages in their order, images decoded on all cores ahead of their use."""
+def _decoded(bag: Bag, colors: dict[str, bool]) -> Iterator[Recorded | Image]:
+    """All messages in their order, images decoded on all cores ahead of their use; in color for some arms."""
     names = {message.type for message in bag.messages if _arm_of(message.topic) is not None}
     fields = {name: bag.typestore(name).fielddefs for name in names}
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         queue: list[Any] = []
         for message in bag.messages:
-            is_image = _arm_of(message.topic) is not None
-            queue.append(pool.submit(image_of, fields[message.type], message) if is_image else message)
+            arm = _arm_of(message.topic)
+            queue.append(
+                message if arm is None else pool.submit(image_of, fields[message.type], message, colors[arm])
+            )
             if len(queue) > AHEAD:
                 yield _result(queue.pop(0))
         yield from map(_result, queue)
@@ -126,8 +128,8 @@ def _result(item: Any) -> Recorded | Image:
     return item if isinstance(item, Recorded) else item.result()
 
 
-def image_of(fields: Any, message: Recorded) -> Image:
-    """One image, decoded, or why there is none.
+def image_of(fields: Any, message: Recorded, color: bool = False) -> Image:
+    """One image, decoded, gray or in color, or why there is none.
 
     Parameters
     ----------
@@ -147,10 +149,10 @@ def image_of(fields: Any, message: Recorded) -> Image:
     frame_id = layout.texts["header.frame_id"]
     try:
         if "format" in layout.texts:
-            pixels = decompressed(values["data"], layout.texts["format"])
+            pixels = decompressed(values["data"], layout.texts["format"], color)
         else:
             height, width, step = (int(values[name]) for name in ("height", "width", "step"))
-            pixels = gray_of(values["data"], height, width, step, layout.texts["encoding"])
+            pixels = pixels_of(values["data"], height, width, step, layout.texts["encoding"], color)
     except ImageError as error:
         return Image(message, stamp_ns, frame_id, None, str(error))
     return Image(message, stamp_ns, frame_id, pixels)
@@ -170,6 +172,7 @@ class _Estimates:
             estimator = Estimator(chosen)
         except ModelError as error:
             raise ReplayError(str(error)) from error
+        self.color = estimator.metadata.preprocessing.color
         presence = {
             n.removeprefix("presence."): v for n, v in parameters.items() if n.startswith("presence.")
         }

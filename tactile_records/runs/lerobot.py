@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import IMAGE
+from tactile_perception.estimating.image import in_color
 from tactile_records.bags.contents import Bag, Recorded
 from tactile_records.bags.message_columns import stamps_ns
 from tactile_records.bags.reader import read_bag
@@ -65,11 +66,14 @@ class Episode:
         return len(next(iter(self.images.values())))
 
     def pictures(self, arm: str, start: int, end: int) -> Iterator[Array]:
-        """Images (H, W, 3) uint8 of an arm; in the place of one that cannot be decoded the one before it."""
+        """Images (H, W, 3) uint8 of an arm, blue, green and red.
+
+        In the place of one that cannot be decoded stands the one before it.
+        """
         for message in self.images[arm][start:end]:
-            found = image_of(self.bag.typestore(message.type).fielddefs, message)
+            found = image_of(self.bag.typestore(message.type).fielddefs, message, color=True)
             if found.pixels is not None:
-                self.shown[arm] = cv2.cvtColor(found.pixels, cv2.COLOR_GRAY2RGB)
+                self.shown[arm] = in_color(found.pixels)
             else:
                 what = f"{message.topic} at {found.stamp_ns} ns: {found.fault}"
                 if arm not in self.shown:
@@ -260,7 +264,7 @@ def _write_episode(
         columns: dict[str, Any] = {}
         for arm in episode.images:
             pictures = list(episode.pictures(arm, start, end))
-            samples[arm] += [picture[:, :, 0] / 255.0 for picture in pictures[-start % every :: every]]
+            samples[arm] += [picture[:, :, ::-1] / 255.0 for picture in pictures[-start % every :: every]]
             columns[PICTURE + arm] = _images(pictures)
         table = pyarrow.table(columns | {name: _column(each[start:end]) for name, each in values.items()})
         writer = writer or ParquetWriter(path, table.schema)
@@ -296,8 +300,8 @@ def _statistics(values: Array) -> dict[str, Array]:
 
 
 def _picture_statistics(values: Array) -> dict[str, Array]:
-    """Of grey images (N, H, W) in 0 to 1, for three equal channels, each (3, 1, 1)."""
-    found = {name: np.tile(v, 3).reshape(3, 1, 1) for name, v in _statistics(values.reshape(-1, 1)).items()}
+    """Of images (N, H, W, 3) in 0 to 1, for each of the channels, (3, 1, 1)."""
+    found = {name: v.reshape(-1, 1, 1) for name, v in _statistics(values.reshape(-1, 3)).items()}
     return found | {"count": np.array([len(values)])}
 
 

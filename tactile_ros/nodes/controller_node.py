@@ -84,6 +84,7 @@ class ControllerNode(TaskNode):
         watchdog: Any = self.settings.value.group("watchdog")
         minds = self.task_type.monitors_contact and self.controlled_frame == self.sensor_frame
         if self.images is not None:
+            self.images.color = bool(getattr(self.settings.value.group("preprocessing"), "color", False))
             subscribe_images(self, self.image_topic, self.images.take, getattr(watchdog, "image_age", 0.0))
         elif self.task_type.needs_sensor or minds:
             age = getattr(watchdog, "belief_age", 0.0)

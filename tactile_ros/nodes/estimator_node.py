@@ -4,8 +4,8 @@ For each image it publishes `contact/presence` and, in contact, `contact/estimat
 answers, but without contact there is nothing to estimate. A network that tells the force has it published as
 `contact/wrench` (its torque is 0: not told) and, with covariance, `contact/wrench_estimate`. All have the
 image's exposure stamp.
-The newest image wins: what it replaces is told by the stamps and counted. Colors and crops become what the
-model was trained on where its file says how (`estimating.encodings`, `Preprocessor`). Images that cannot be
+The newest image wins: what it replaces is told by the stamps and counted. Images become what the model was
+trained on where its file says how (`estimating.encodings`, `Preprocessor`). Images that cannot be
 used (another encoding, another size, no picture of the sensor: `estimating.image_check`) and answers of the
 network that are not a Gaussian are refused, counted and told in /diagnostics, at once when it begins.
 
@@ -110,6 +110,7 @@ class EstimatorNode(ManagedNode):
             self.wrench_out = self.publisher(WrenchStamped, topics.WRENCH.name, STATE)
             self.force_out = self.publisher(ContactForce, topics.FORCE_ESTIMATE.name, STATE)
         self.report.values["contact model"] = told.name
+        self.report.values["preprocessing"] = estimator.metadata.preprocessing.steps
         if told.unknown:
             self.report.values["not labelled"] = ", ".join(told.unknown)
             self.get_logger().warning(f"{estimator.path}: {told.says_unknown()}")
@@ -131,7 +132,8 @@ class EstimatorNode(ManagedNode):
         if not self._in_order(image.stamp_ns):
             return
         try:
-            self._process(image.array(), image.stamp_ns, received_ns)
+            color = self.perceive.estimator.metadata.preprocessing.color
+            self._process(image.array(color), image.stamp_ns, received_ns)
         except (MessageError, ImageError) as error:
             if isinstance(error, ImageRefused):
                 self.count(f"images refused, {error.kind}")

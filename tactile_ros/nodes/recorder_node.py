@@ -26,7 +26,7 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import COMMAND, IMAGE, LATCHED, QOS_KINDS, Topic, compressed
-from tactile_perception.estimating.encodings import MONO8
+from tactile_perception.estimating.encodings import encoding_of
 from tactile_records.bags.contents import Gap
 from tactile_records.bags.losses import Losses
 from tactile_records.bags.writer import BagError, BagWriter
@@ -131,12 +131,13 @@ class RecorderNode(ManagedNode):
     def _record_images(self, name: str) -> None:
         def write(message: Image, published_ns: int) -> None:
             try:
-                data = cv2.imencode(".png", array_from_image(message), PNG_FAST)[1].tobytes()
+                image = array_from_image(message, color=True)
+                data = cv2.imencode(".png", image, PNG_FAST)[1].tobytes()
             except MessageError as error:
                 self.count("images refused")
                 self.warn("image", f"{name} refused: {error}")
                 return
-            packed = CompressedImage(header=message.header, format=f"{MONO8}; png", data=data)
+            packed = CompressedImage(header=message.header, format=f"{encoding_of(image)}; png", data=data)
             self._write(f"{name}/compressed", serialize_message(packed), published_ns)
 
         self._listen(Topic(name, IMAGE.type, IMAGE.qos), Image, write, raw=False)

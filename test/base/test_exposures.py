@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tactile_base.exposures import REMEMBERED, DamagedJpeg, Exposures, gray_of_jpeg, objection
+from tactile_base.exposures import REMEMBERED, DamagedJpeg, Exposures, objection, pixels_of_jpeg
 from tactile_doubles.lying_camera import jpeg, torn
 from tactile_sim.tactip import TacTip
 
@@ -19,10 +19,10 @@ def test_a_whole_jpeg_has_the_pixels_of_another_decoder(image, quality):
     """OpenCV, of which the pixels in data sets and older recordings are."""
     data = jpeg(image, quality)
     assert np.array_equal(
-        gray_of_jpeg(data), cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+        pixels_of_jpeg(data), cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
     )
     plain = cv2.imencode(".jpg", image)[1]
-    assert np.array_equal(gray_of_jpeg(plain), cv2.imdecode(plain, cv2.IMREAD_GRAYSCALE))
+    assert np.array_equal(pixels_of_jpeg(plain), cv2.imdecode(plain, cv2.IMREAD_GRAYSCALE))
 
 
 @pytest.mark.parametrize("lost", [512, 1024, 3060])
@@ -30,20 +30,20 @@ def test_a_jpeg_of_which_a_packet_is_lost_is_refused_a_hundred_times_of_a_hundre
     data, random = jpeg(image), np.random.default_rng(lost)
     for _ in range(100):
         with pytest.raises(DamagedJpeg, match="bytes"):
-            gray_of_jpeg(torn(data, random, lost))
+            pixels_of_jpeg(torn(data, random, lost))
 
 
 def test_bytes_with_which_some_cameras_pad_their_frames_are_no_damage(image):
     data = jpeg(image)
     padded = data[:-2] + bytes(range(1, 9)) + data[-2:]
-    assert np.array_equal(gray_of_jpeg(padded), gray_of_jpeg(data))
+    assert np.array_equal(pixels_of_jpeg(padded), pixels_of_jpeg(data))
 
 
 def test_a_jpeg_that_claims_to_be_huge_is_refused_before_there_is_memory_for_it(image):
     data = jpeg(image)
     at = data.index(b"\xff\xc0") + 5  # height and width of the frame header: ITU-T T.81, B.2.2
     with pytest.raises(DamagedJpeg, match="65000x65000 pixels"):
-        gray_of_jpeg(data[:at] + 2 * (65000).to_bytes(2, "big") + data[at + 4 :])
+        pixels_of_jpeg(data[:at] + 2 * (65000).to_bytes(2, "big") + data[at + 4 :])
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_a_jpeg_that_claims_to_be_huge_is_refused_before_there_is_memory_for_it(
 )
 def test_what_is_no_jpeg_is_refused(data):
     with pytest.raises(DamagedJpeg):
-        gray_of_jpeg(data)
+        pixels_of_jpeg(data)
 
 
 def test_a_frame_repeats_the_last_one_only_if_every_bit_is_the_same_also_in_the_same_memory(image):

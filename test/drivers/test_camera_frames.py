@@ -14,7 +14,7 @@ from tactile_drivers.camera_frames import (
     Arrival,
     FrameIntake,
     FrameRefused,
-    gray_frame,
+    frame_image,
 )
 
 START = Arrival(5_000 * SECOND_NS, 1_800_000_000 * SECOND_NS)  # steady clock, ROS time
@@ -165,14 +165,14 @@ COLOR = np.random.default_rng(4).integers(0, 256, (4, 6, 2), dtype=np.uint8)
     ],
 )
 def test_of_each_format_the_luma_is_the_image(form, raw, expected):
-    assert np.array_equal(gray_frame(raw, form, 6, 4), expected)
+    assert np.array_equal(frame_image(raw, form, 6, 4), expected)
     with pytest.raises(FrameRefused, match=f"is no {form} of 6x5 pixels"):
-        gray_frame(raw, form, 6, 5)
+        frame_image(raw, form, 6, 5)
 
 
 def test_a_jpeg_padded_with_zeros_is_whole():
     padded = np.pad(FRAMES[0], [(0, 0), (0, 3000)])
-    assert np.array_equal(gray_frame(padded, "MJPG", 640, 480), gray_frame(FRAMES[0], "MJPG", 640, 480))
+    assert np.array_equal(frame_image(padded, "MJPG", 640, 480), frame_image(FRAMES[0], "MJPG", 640, 480))
 
 
 def test_a_jpeg_without_huffman_tables_as_cameras_send_it_is_decoded():
@@ -184,9 +184,9 @@ def test_a_jpeg_without_huffman_tables_as_cameras_send_it_is_decoded():
     kept += data[at:]
     assert len(kept) < len(data) - 100
     raw = np.frombuffer(kept, np.uint8).reshape(1, -1)
-    assert np.array_equal(gray_frame(raw, "MJPG", 640, 480), gray_frame(FRAMES[0], "MJPG", 640, 480))
+    assert np.array_equal(frame_image(raw, "MJPG", 640, 480), frame_image(FRAMES[0], "MJPG", 640, 480))
 
 
 def test_a_frame_of_bytes_in_a_row_is_an_image_too():
     """As newer versions of OpenCV hand on every format that they do not convert."""
-    assert np.array_equal(gray_frame(COLOR.reshape(1, -1), "YUYV", 6, 4), COLOR[:, :, 0])
+    assert np.array_equal(frame_image(COLOR.reshape(1, -1), "YUYV", 6, 4), COLOR[:, :, 0])

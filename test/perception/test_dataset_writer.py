@@ -104,7 +104,7 @@ def test_camera_images_are_kept_where_asked_for_and_give_the_same_inputs(tmp_pat
     raw = cv2.imread(str(tmp_path / "images" / "image_1.png"), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(raw, camera_image(1))
     processed = cv2.imread(str(tmp_path / "processed_images" / "image_1.png"), cv2.IMREAD_UNCHANGED)
-    np.testing.assert_array_equal(processed, Preprocessor(SETTINGS).binary(raw))
+    np.testing.assert_array_equal(processed, Preprocessor(SETTINGS).processed(raw))
 
 
 def test_further_columns_stand_behind_those_of_the_layout(tmp_path):

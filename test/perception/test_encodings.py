@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tactile_perception.estimating.encodings import ENCODINGS, decompressed, gray_of
+from tactile_perception.estimating.encodings import ENCODINGS, decompressed, pixels_of
 from tactile_perception.estimating.image import ImageError, read_image
 from tactile_perception.estimating.preprocessing import Preprocessor
 
@@ -16,7 +16,7 @@ ORDERS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2, 0], "bgra8": 
 def gray(image: np.ndarray, encoding: str, padding: int = 0) -> np.ndarray:
     """The image (height, width, ...) as a message of that encoding, whose rows are padded, made gray."""
     rows = np.pad(image.reshape(image.shape[0], -1), [(0, 0), (0, padding)])
-    return gray_of(rows.ravel(), *image.shape[:2], rows.shape[1], encoding)
+    return pixels_of(rows.ravel(), *image.shape[:2], rows.shape[1], encoding)
 
 
 @pytest.mark.parametrize("padding", [0, 5])
@@ -58,7 +58,7 @@ def test_an_encoding_of_which_no_model_says_how_it_becomes_gray_is_refused_with_
 )
 def test_numbers_that_contradict_each_other_are_refused(numbers, complaint):
     with pytest.raises(ImageError, match=complaint):
-        gray_of(RGB.ravel(), *numbers)
+        pixels_of(RGB.ravel(), *numbers)
 
 
 def packed(image: np.ndarray, suffix: str) -> bytes:

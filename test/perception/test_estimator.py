@@ -279,7 +279,7 @@ def test_shipped_model_says_what_it_was_made_from(shipped):
 
 def test_camera_image_and_processed_crop_give_the_same_estimate(shipped):
     whole = shipped.estimate(IMAGE)
-    crop = shipped.estimate_processed(shipped.preprocessor.binary(IMAGE))
+    crop = shipped.estimate_processed(shipped.preprocessor.processed(IMAGE))
     np.testing.assert_array_equal(whole.mean, crop.mean)
     np.testing.assert_array_equal(whole.cov, crop.cov)
 

@@ -59,7 +59,7 @@ def test_all_markers_of_a_camera_image_are_found_to_a_tenth_of_a_pixel(pose):
 def test_the_markers_of_the_pre_processed_image_are_the_same_to_half_a_pixel(pose):
     image, true = contact(pose)
     preprocessor = Preprocessor()
-    found = detect(preprocessor.binary(image))
+    found = detect(preprocessor.processed(image))
     offset = preprocessor.settings.bbox[:2]
     distance = distances(found.centers + offset, true)
     assert np.count_nonzero(distance > 3.0) <= 3

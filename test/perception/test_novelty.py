@@ -37,7 +37,7 @@ def contacts(count: int, seed: int, **changes):
 
 
 def prepared(images):
-    return np.array([PREPARE.resized(PREPARE.binary(image)) for image in images])
+    return np.array([PREPARE.resized(PREPARE.processed(image)) for image in images])
 
 
 @pytest.fixture(scope="module")

@@ -72,7 +72,7 @@ def test_a_camera_image_becomes_the_networks_input():
 
 
 def test_markers_come_out_white_and_the_ground_black_under_uneven_light():
-    binary = Preprocessor().binary(marker_image())
+    binary = Preprocessor().processed(marker_image())
     x0, y0, _, _ = PreprocessingSettings().bbox
     assert set(np.unique(binary)) == {0, 255}
     for x in (216, 326, 436):
@@ -81,21 +81,21 @@ def test_markers_come_out_white_and_the_ground_black_under_uneven_light():
 
 
 def test_nothing_outside_the_circle_mask_is_white():
-    binary = Preprocessor().binary(np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8))
+    binary = Preprocessor().processed(np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8))
     rows, columns = np.nonzero(binary)
     assert np.hypot(rows - 220, columns - 222).max() <= 230.5
 
 
 def test_mask_can_be_switched_off():
     settings = PreprocessingSettings(circle_mask_radius=0)
-    assert Preprocessor(settings).binary(np.full((480, 640), 9, np.uint8))[0, 0] == 255
+    assert Preprocessor(settings).processed(np.full((480, 640), 9, np.uint8))[0, 0] == 255
 
 
 def test_single_dust_pixels_disappear():
     clean = marker_image(noise=0.0)
     dusty = clean.copy()
     dusty[100:400:17, 150:500:23] = 255
-    difference = Preprocessor().binary(dusty) != Preprocessor().binary(clean)
+    difference = Preprocessor().processed(dusty) != Preprocessor().processed(clean)
     assert difference.mean() < 0.002
 
 
@@ -108,7 +108,7 @@ def test_processed_crop_and_camera_image_give_the_same_input():
     preprocessor = Preprocessor()
     image = marker_image()
     np.testing.assert_array_equal(
-        preprocessor.from_processed(preprocessor.binary(image)), preprocessor(image)
+        preprocessor.from_processed(preprocessor.processed(image)), preprocessor(image)
     )
 
 
@@ -116,14 +116,14 @@ def test_redrawn_markers_have_one_size_and_what_is_no_marker_is_gone():
     image = marker_image()
     image[30:33, 300:420] = 255  # a reflection
     plain, redrawing = (Preprocessor(PreprocessingSettings(size=440, redraw_radius=r)) for r in (0.0, 8.0))
-    before, after = (detect(p.resized(plain.binary(image))) for p in (plain, redrawing))
+    before, after = (detect(p.resized(plain.processed(image))) for p in (plain, redrawing))
     assert len(after) == len(before) > 50
     assert np.median(before.areas) < 130.0
     assert after.areas == pytest.approx(np.pi * 8.0**2, rel=0.15)
-    np.testing.assert_array_equal(redrawing(image), redrawing.from_processed(plain.binary(image)))
+    np.testing.assert_array_equal(redrawing(image), redrawing.from_processed(plain.processed(image)))
     row = 31 - plain.settings.bbox[1]
-    assert plain.resized(plain.binary(image))[row].any()
-    assert not redrawing.resized(plain.binary(image))[row].any()
+    assert plain.resized(plain.processed(image))[row].any()
+    assert not redrawing.resized(plain.processed(image))[row].any()
 
 
 def test_an_image_without_markers_is_redrawn_black():
@@ -133,9 +133,9 @@ def test_an_image_without_markers_is_redrawn_black():
 
 def test_results_of_earlier_images_stay_as_they_were():
     preprocessor = Preprocessor()
-    first = preprocessor.binary(marker_image())
+    first = preprocessor.processed(marker_image())
     kept = first.copy()
-    preprocessor.binary(marker_image(shift=7.0, seed=1))
+    preprocessor.processed(marker_image(shift=7.0, seed=1))
     np.testing.assert_array_equal(first, kept)
 
 
@@ -220,7 +220,7 @@ def test_pixels_are_those_of_opencv(changes):
     settings = PreprocessingSettings(**changes)
     preprocessor = Preprocessor(settings)
     for image in [marker_image(), *random_images(settings.raw_shape)]:
-        np.testing.assert_array_equal(preprocessor.binary(image), by_opencv(image, settings))
+        np.testing.assert_array_equal(preprocessor.processed(image), by_opencv(image, settings))
 
 
 def check_resized(image: np.ndarray) -> None:
@@ -243,7 +243,7 @@ def test_network_input_is_the_average_of_the_thresholded_crop():
 @pytest.mark.parametrize("size", [16, 64, 96, 110, 256, 440])
 def test_other_sizes_of_the_network_input_are_averages_too(size):
     preprocessor = Preprocessor(PreprocessingSettings(size=size))
-    for crop in [preprocessor.binary(marker_image()), *random_images(preprocessor.settings.crop_shape)]:
+    for crop in [preprocessor.processed(marker_image()), *random_images(preprocessor.settings.crop_shape)]:
         np.testing.assert_allclose(preprocessor.resized(crop), area_averages(crop, size), atol=0.501)
 
 
