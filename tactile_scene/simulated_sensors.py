@@ -48,7 +48,9 @@ class ContactSettings(Settings):
 class MarkerSettings(Settings):
     """Layout of the markers: rings of 1, 6, 12, ... about the tip's axis."""
 
-    rings: int = setting(10, lower=1, upper=13, doc="rings about the central marker; 10 make 331 markers")
+    rings: int = setting(
+        10, lower=0, upper=13, doc="rings about the central marker; 10 make 331 markers, 0 none at all"
+    )
     pitch_deg: float = setting(6.32, unit="deg", lower=1.0, upper=8.0, doc="polar angle between rings")
     azimuth_deg: float = setting(
         51.8, lower=-360.0, upper=360.0, unit="deg", doc="of each ring's first marker about z of {s}"
@@ -93,13 +95,32 @@ class CameraSettings(Settings):
 
 
 @dataclass(frozen=True)
+class LightSettings(Settings):
+    """Red, green and blue lamps at the rim, which light the inside of the skin; images are in color then."""
+
+    lamp_gray: float = setting(
+        0.0, lower=0.0, upper=255.0,
+        doc="level that a lamp gives to skin that faces it a radius away; 0: no lamps, gray images",
+    )  # fmt: skip
+    ambient_gray: float = setting(20.0, lower=0.0, upper=255.0, doc="level of each color without its lamp")
+    azimuth_deg: float = setting(
+        90.0,
+        lower=-360.0,
+        upper=360.0,
+        unit="deg",
+        doc="of the red lamp about z of {s}; green 120 on, blue 240",
+    )
+
+
+@dataclass(frozen=True)
 class TacTipSettings:
-    """All of the sensor: tip, contact, markers and camera."""
+    """All of the sensor: tip, contact, markers, camera and light."""
 
     skin: SkinSettings = field(default_factory=SkinSettings)
     contact: ContactSettings = field(default_factory=ContactSettings)
     markers: MarkerSettings = field(default_factory=MarkerSettings)
     camera: CameraSettings = field(default_factory=CameraSettings)
+    light: LightSettings = field(default_factory=LightSettings)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ FIDELITIES = tuple(MODELS)
 _SENSOR_GROUPS = tuple(item.name for item in fields(TacTipSettings))
 _FAULTS = ("delay", "in_tool")  # what the scene does not know of the sensor
 LARGEST_DELAY = 0.5  # s
-_DATA_GROUPS = ("collection", "variation")
+_DATA_GROUPS = ("collection", "variation", "preprocessing")
 
 
 @dataclass(frozen=True)

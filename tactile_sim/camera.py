@@ -23,12 +23,15 @@ class Camera:
     ----------
     ground : (height, width) float32
         Gray levels where there is no marker.
+    gain : (height, width)
+        By which light is brighter there.
     """
 
     def __init__(self, settings: CameraSettings) -> None:
         self.settings = settings
         shape = (settings.height, settings.width)
         self._gain_at = _vignette(settings)
+        self.gain = settings.gain * self._gain_at
         self.ground: NDArray[np.float32] = (settings.gain * settings.ground_gray * self._gain_at).astype(
             np.float32
         )
@@ -50,11 +53,30 @@ class Camera:
         pixels = settings.focal_length * stretch[:, None] * q + (settings.center_column, settings.center_row)
         return pixels, settings.focal_length * stretch / away
 
-    def draw(self, points: Array, seed: int) -> NDArray[np.uint8]:
-        """Gray image (height, width) of markers at points (n, 3) m in {s}; `seed` selects the noise."""
+    def directions(self, pixels: Array, steps: int) -> Array:
+        """Tangents (n, 2) of the angles to the axis, in the axes of {s}, at image positions (n, 2).
+
+        The reverse of `project`, by so many steps of Newton's method.
+        """
+        settings = self.settings
+        bent = (pixels - [settings.center_column, settings.center_row]) / settings.focal_length
+        length = np.linalg.norm(bent, axis=1)
+        found, (k1, k2) = length.copy(), settings.distortion
+        for _ in range(steps):
+            square = found * found
+            slope = 1.0 + square * (3.0 * k1 + 5.0 * k2 * square)
+            found -= (found * (1.0 + square * (k1 + k2 * square)) - length) / np.maximum(slope, 0.1)
+        return np.asarray((bent * (found / np.maximum(length, 1e-12))[:, None]) @ self._axes)
+
+    def draw(self, points: Array, seed: int, ground: NDArray[np.float32] | None = None) -> NDArray[np.uint8]:
+        """Gray image (height, width) of markers at points (n, 3) m in {s}; `seed` selects the noise.
+
+        `ground` stands for another one than the camera's own.
+        """
         settings, discs = self.settings, self.discs(points)
+        ground = self.ground if ground is None else ground
         image = np.empty((settings.height, settings.width), dtype=np.uint8)
-        _contact.render(image, self.ground, discs, settings.edge_width, self._noise, seed, self._canvas)
+        _contact.render(image, ground, discs, settings.edge_width, self._noise, seed, self._canvas)
         return image
 
     def discs(self, points: Array) -> Array:

@@ -74,8 +74,9 @@ class CollectionSettings(SamplingSettings):
 class SensorFile:
     """What a file of `config/sensors` says; without one, the defaults.
 
-    It has the groups of `TacTipSettings` (skin, contact, markers, camera), and for data sets `collection`
-    (the rig: errors of its arm, friction) and `variation` (how images differ); all optional.
+    It has the groups of `TacTipSettings` (skin, contact, markers, camera, light), and for data sets
+    `collection` (the rig: errors of its arm, friction), `variation` (how images differ) and `preprocessing`;
+    all optional.
     """
 
     sensor: TacTipSettings = field(default_factory=TacTipSettings)

@@ -18,8 +18,30 @@ Array = NDArray[np.float64]
 _NEIGHBORS = 16
 
 
+class SkinPoints:
+    """Points of one skin, each with the normal there.
+
+    Attributes
+    ----------
+    normals : (n, 3)
+        Outward, at rest.
+    """
+
+    def __init__(self, normals: Array, skin: Skin, radius: float) -> None:
+        self.normals, self._base = normals, radius * normals
+        self._tangents = _tangents(normals)
+        self._interpolate = _interpolation(self._base, self._tangents, skin, radius)
+
+    def moved(self, displacement: NDArray[np.float32]) -> tuple[Array, Array]:
+        """Positions (n, 3) m in {s} and unit normals (n, 3) for displacements (nodes, 3) m of the skin."""
+        moved, along, across = (self._interpolate @ displacement).reshape(3, len(self._base), 3)
+        normal = np.cross(self._tangents[0] + along, self._tangents[1] + across)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        return np.asarray(self._base + moved), normal
+
+
 class Markers:
-    """Tips of the pins of one skin.
+    """Tips of the pins of one skin, or none.
 
     Attributes
     ----------
@@ -29,26 +51,24 @@ class Markers:
 
     def __init__(self, settings: MarkerSettings, skin: Skin, radius: float, skin_thickness: float) -> None:
         directions = ring_directions(np.radians(settings.pitch_deg) * np.arange(settings.rings + 1))
+        if settings.rings == 0:
+            directions = directions[:0]
         if settings.worn > 0.0:
             directions = directions[np.random.default_rng(0).random(len(directions)) >= settings.worn]
         azimuth = np.radians(settings.azimuth_deg)
         c, s = np.cos(azimuth), np.sin(azimuth)
         normals = directions @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         self._depth = skin_thickness + settings.pin_length
-        self._base = radius * normals
-        self._tangents = _tangents(normals)
-        self._interpolate = _interpolation(self._base, self._tangents, skin, radius)
+        self._points = SkinPoints(normals, skin, radius)
         self.rest = (radius - self._depth) * normals
 
     def __len__(self) -> int:
-        return len(self._base)
+        return len(self.rest)
 
     def positions(self, displacement: NDArray[np.float32]) -> Array:
         """Marker positions (n, 3) m in {s} for displacements (nodes, 3) m of the skin."""
-        moved, along, across = (self._interpolate @ displacement).reshape(3, -1, 3)
-        normal = np.cross(self._tangents[0] + along, self._tangents[1] + across)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        return np.asarray(self._base + moved - self._depth * normal)
+        position, normal = self._points.moved(displacement)
+        return np.asarray(position - self._depth * normal)
 
 
 def _interpolation(base: Array, tangents: Array, skin: Skin, radius: float) -> csr_array:

@@ -22,6 +22,7 @@ from tactile_geometry.se3 import PoseError
 from tactile_scene.simulated_sensors import TacTipSettings
 from tactile_sim import _contact
 from tactile_sim.camera import Camera
+from tactile_sim.gel_light import GelLight
 from tactile_sim.markers import Markers
 from tactile_sim.network_view import NetworkView, ViewSettings
 from tactile_sim.skin import Skin, load_skin
@@ -91,6 +92,9 @@ class TacTip:
         tip = self.settings.skin
         self._markers = Markers(self.settings.markers, self._skin, tip.radius, tip.skin_thickness)
         self._camera = Camera(self.settings.camera)
+        lit = self.settings.light.lamp_gray > 0.0
+        light = self.settings.light, self._camera, self._skin, tip.radius
+        self._light = GelLight(*light) if lit else None
         self._view = NetworkView(self._camera, view) if view is not None else None
         self._friction = self.settings.contact.friction
         self.reset(seed)
@@ -155,15 +159,20 @@ class TacTip:
         self._T = target
 
     def image(self) -> NDArray[np.uint8]:
-        """Expose one frame: gray image (height, width), whose noise differs from frame to frame.
+        """Expose one frame, whose noise differs from frame to frame: gray (height, width).
 
-        With a view, what crop, threshold and resizing would leave of it: black and white (size, size).
+        With lamps it is in color (height, width, 3), blue, green and red. With a view, it is what crop,
+        threshold and resizing would leave of it: black and white (size, size).
         """
         if self._view is not None:
             return self._view.draw(self.marker_positions)
         seed = (self._seed * 0x9E3779B97F4A7C15 + self._frames * 0xD1B54A32D192ED03) % 2**64
         self._frames += 1
-        return self._camera.draw(self.marker_positions, seed)
+        if self._light is None:
+            return self._camera.draw(self.marker_positions, seed)
+        grounds, points = self._light.grounds(self._displacement), self.marker_positions
+        colors = [self._camera.draw(points, seed ^ k, ground) for k, ground in enumerate(grounds)]
+        return np.stack(colors, axis=-1)
 
     def truth(self) -> ContactTruth:
         """Where the sensor is, as a surface contact pose that a picture could know.

@@ -14,6 +14,7 @@ from typing import Any
 
 from rich.console import Console
 
+from tactile_base.config_paths import named_file
 from tactile_base.console import say
 from tactile_base.jobs import run_jobs
 from tactile_base.progress import Progress, duration
@@ -32,6 +33,7 @@ from tactile_perception.estimating.preprocessing import PreprocessingSettings, P
 from tactile_records.collecting.parameters import check_same_run
 from tactile_scene.sampling import VALIDATION_START
 from tactile_sim.collection import CollectionSettings, Collector, SensorFile, load_sensor
+from tactile_sim.tactip import TacTip
 
 
 def register(commands: Any) -> None:
@@ -53,13 +55,14 @@ def run_generate(arguments: argparse.Namespace) -> int:
     try:
         check_folder(arguments.out)
         sensor = load_sensor(arguments.sensor) if arguments.sensor else SensorFile()
+        preprocessing = _preprocessing(arguments.sensor)
         settings = _settings(arguments, sensor.collection)
         wanted = {"train": (arguments.train, 0), "val": (arguments.val, VALIDATION_START)}
         if arguments.train is None and arguments.val is None:
             wanted = {"train": (6000, 0), "val": (2000, VALIDATION_START)}
         for name, (count, start) in wanted.items():
             if count:
-                _generate_split(arguments, sensor, settings, name, count, start, console)
+                _generate_split(arguments, sensor, preprocessing, settings, name, count, start, console)
     except KeyboardInterrupt:
         console.print("interrupted; the same command goes on from here")
         return 130
@@ -74,9 +77,17 @@ def _settings(arguments: argparse.Namespace, settings: CollectionSettings) -> Co
     return settings.replaced(**changed_settings(arguments.changes, "cap_angle=0.3"))
 
 
+def _preprocessing(sensor: str | None) -> PreprocessingSettings:
+    """What a sensor's file says of the pre-processing of its images; without one, the default."""
+    if not sensor:
+        return PreprocessingSettings()
+    return read_yaml(named_file("sensor", sensor)).settings("preprocessing", PreprocessingSettings)
+
+
 def _generate_split(
     arguments: argparse.Namespace,
     sensor: SensorFile,
+    preprocessing: PreprocessingSettings,
     settings: CollectionSettings,
     name: str,
     count: int,
@@ -84,15 +95,18 @@ def _generate_split(
     console: Console,
 ) -> None:
     folder = arguments.out / name
-    preprocessing = PreprocessingSettings()
     parameters = {"robot": "sim", "seed": arguments.seed, **dataclasses.asdict(settings)}
     parameters["sensor"] = dataclasses.asdict(sensor.sensor)
     if sensor.variation is not None:
         parameters["variation"] = dataclasses.asdict(sensor.variation)
+    if preprocessing != PreprocessingSettings():
+        parameters["preprocessing"] = dataclasses.asdict(preprocessing)
     check_same_run(folder, parameters)
     started = time.monotonic()
     with DatasetWriter(folder, preprocessing) as writer:
         missing = sorted(set(range(1, count + 1)) - writer.done)
+        if preprocessing.difference:
+            writer.add_image(0, TacTip(sensor.sensor, arguments.seed).image())
         collector = Collector(settings, arguments.seed, sensor.sensor, sensor.variation)
         work = ProcessedSample(collector, preprocessing, start)
         with Progress(console) as progress:

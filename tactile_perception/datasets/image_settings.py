@@ -8,7 +8,7 @@ from tactile_base.settings import SettingError
 from tactile_perception.datasets import layout
 from tactile_perception.datasets.layout import DatasetError, DatasetReport
 from tactile_perception.estimating.image import ImageKind
-from tactile_perception.estimating.preprocessing import PreprocessingSettings
+from tactile_perception.estimating.preprocessing import NO_THRESHOLD, PreprocessingSettings
 
 
 def image_settings(
@@ -58,6 +58,8 @@ def _preprocessing(
         return PreprocessingSettings()
     params = parameters[name]
     values = {key: params[key] for key in ("bbox", "circle_mask_radius") if params.get(key) is not None}
+    if params.get("gray") is False:
+        values |= {"color": True, "threshold_method": NO_THRESHOLD}
     if not any(values.get("bbox") or [1]):
         del values["bbox"]  # as some tools write that there is no crop
     values |= {key: params[key] for key in ("median", "threshold_method", "difference") if key in params}

@@ -91,8 +91,8 @@ def quantize(
     shape = (wanted.size, wanted.size, 3)[: 2 + wanted.color]
     if images.shape[1:] != shape or images.dtype != np.uint8 or not len(images):
         raise QuantizationError(
-            f"calibration images: must be uint8 of the shape {('N', *shape)}, are {images.dtype} of "
-            f"{images.shape}"
+            f"calibration images: must be uint8 of the shape (N, {', '.join(map(str, shape))}), "
+            f"are {images.dtype} of {images.shape}"
         )
     first = _first_block(model, Path(model_path))
     _check_head(model, Path(model_path))

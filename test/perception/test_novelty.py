@@ -92,7 +92,7 @@ def test_deviations_grow_from_what_is_usual_on(own):
 
 
 def test_it_stays_the_same_in_a_model_file(own):
-    again = Novelty.from_text(own.to_text(), 128)
+    again = Novelty.from_text(own.to_text(), PREPARE.settings)
     images = contacts(3, seed=5)
     np.testing.assert_array_equal(of(again, images), of(own, images))
     assert (again.limit, again.usual) == (own.limit, own.usual)
@@ -111,12 +111,12 @@ def test_it_stays_the_same_in_a_model_file(own):
 )
 def test_what_is_none_is_refused(own, change):
     with pytest.raises(NoveltyError, match="novelty: "):
-        Novelty.from_text(json.dumps(json.loads(own.to_text()) | change), 128)
+        Novelty.from_text(json.dumps(json.loads(own.to_text()) | change), PREPARE.settings)
 
 
 def test_another_size_and_too_few_images_are_refused(own):
     with pytest.raises(NoveltyError, match=r"must be \(64, 64\)"):
-        Novelty.from_text(own.to_text(), 64)
+        Novelty.from_text(own.to_text(), PREPARE.settings.replaced(size=64))
     with pytest.raises(NoveltyError, match="at least three images, has 2"):
         Novelty.fit(np.zeros((2, 64, 128), np.uint8))
 
