@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import cv2
 
@@ -33,6 +33,9 @@ _HANG = "1"  # s
 _MANUAL, _AUTOMATIC = 1, 3  # of V4L2_CID_EXPOSURE_AUTO: manual, aperture priority
 _EXPOSURE_UNIT = 1e-4  # s, of V4L2_CID_EXPOSURE_ABSOLUTE
 _UNKNOWN = -1.0  # what OpenCV reads of a control that a device does not have
+
+
+Control = tuple[str, int, float]  # name, OpenCV's number, value
 
 
 class Capture(Protocol):
@@ -75,6 +78,22 @@ class UvcCameraSettings(Settings):
     repeats: bool = setting(False, doc="take a frame that equals the one before it bit for bit")
     reconnect: bool = setting(True, doc="open a device that was unplugged when it is there again")
 
+    def controls(self) -> Iterator[Control]:
+        """Name, control and value; what is automatic is switched off before its value is set."""
+        automatic = self.exposure == 0.0
+        yield "automatic exposure (1: off)", cv2.CAP_PROP_AUTO_EXPOSURE, _AUTOMATIC if automatic else _MANUAL
+        if not automatic:
+            yield "exposure (0.1 ms)", cv2.CAP_PROP_EXPOSURE, round(self.exposure / _EXPOSURE_UNIT)
+        if self.gain >= 0.0:
+            yield "gain", cv2.CAP_PROP_GAIN, self.gain
+        automatic = self.white_balance == 0.0
+        yield "automatic white balance (0: off)", cv2.CAP_PROP_AUTO_WB, float(automatic)
+        if not automatic:
+            yield "white balance (K)", cv2.CAP_PROP_WB_TEMPERATURE, self.white_balance
+        yield "automatic focus (0: off)", cv2.CAP_PROP_AUTOFOCUS, 0.0
+        if self.focus >= 0.0:
+            yield "focus", cv2.CAP_PROP_FOCUS, self.focus
+
 
 def open_v4l2(device: str) -> Capture:
     """A device, opened; raises `OSError` that says why it cannot be."""
@@ -97,7 +116,7 @@ def open_v4l2(device: str) -> Capture:
 class UvcCamera:
     """See the module's text; `open_device` is for doubles of a device."""
 
-    settings_class = UvcCameraSettings
+    settings_class: ClassVar[type[UvcCameraSettings]] = UvcCameraSettings
 
     def __init__(
         self,
@@ -230,7 +249,7 @@ def pinned(capture: Capture, settings: UvcCameraSettings, rate: float) -> Iterat
     for control, value in wanted:
         capture.set(control, value)
     _check_stream(capture, settings, rate)
-    for name, control, value in _controls(settings):
+    for name, control, value in settings.controls():
         capture.set(control, value)
         found = capture.get(control)
         if found == _UNKNOWN:
@@ -255,20 +274,3 @@ def _check_stream(capture: Capture, settings: UvcCameraSettings, rate: float) ->
             f"{settings.device}: {rate:g} Hz were asked of {asked}, the device gives {given:g}: "
             "set camera_rate to that, or another format or size (`tactile camera list`)"
         )
-
-
-def _controls(settings: UvcCameraSettings) -> Iterator[tuple[str, int, float]]:
-    """Name, control and value; what is automatic is switched off before its value is set."""
-    automatic = settings.exposure == 0.0
-    yield "automatic exposure (1: off)", cv2.CAP_PROP_AUTO_EXPOSURE, _AUTOMATIC if automatic else _MANUAL
-    if not automatic:
-        yield "exposure (0.1 ms)", cv2.CAP_PROP_EXPOSURE, round(settings.exposure / _EXPOSURE_UNIT)
-    if settings.gain >= 0.0:
-        yield "gain", cv2.CAP_PROP_GAIN, settings.gain
-    automatic = settings.white_balance == 0.0
-    yield "automatic white balance (0: off)", cv2.CAP_PROP_AUTO_WB, float(automatic)
-    if not automatic:
-        yield "white balance (K)", cv2.CAP_PROP_WB_TEMPERATURE, settings.white_balance
-    yield "automatic focus (0: off)", cv2.CAP_PROP_AUTOFOCUS, 0.0
-    if settings.focus >= 0.0:
-        yield "focus", cv2.CAP_PROP_FOCUS, settings.focus

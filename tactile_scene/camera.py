@@ -107,7 +107,12 @@ class CameraDriver(Protocol):
 CAMERAS: Registry[CameraDriver] = Registry(
     "camera driver",
     "tactile_servoing.cameras",
-    {"uvc": "tactile_drivers.uvc_camera:UvcCamera", "replay": "tactile_drivers.replay_camera:ReplayCamera"},
+    {
+        "uvc": "tactile_drivers.uvc_camera:UvcCamera",
+        "digit": "tactile_drivers.gel_cameras:DigitCamera",
+        "gelsight_mini": "tactile_drivers.gel_cameras:GelSightMiniCamera",
+        "replay": "tactile_drivers.replay_camera:ReplayCamera",
+    },
     Contract(("arm", "settings", "report"), {"close": ()}, settings=True),
 )
 

@@ -2,8 +2,8 @@
 
 Three lamps at the rim, red, green and blue, shine on the inside of the skin, which is painted matt: each
 color's brightness falls with the slope of the skin towards its lamp (Lambert's law) and with the square of
-the distance to it. So see sensors of the GelSight family (Yuan, Dong, Adelson, "GelSight: High-resolution robot
-tactile sensors for estimating geometry and force", Sensors 17(12), 2017).
+the distance to it. So see sensors of the GelSight family (Yuan, Dong, Adelson, "GelSight: High-resolution
+robot tactile sensors for estimating geometry and force", Sensors 17(12), 2017).
 """
 
 from __future__ import annotations
@@ -54,9 +54,8 @@ class GelLight:
         flow = cv2.resize(flow, size, interpolation=cv2.INTER_LINEAR)
         shade = cv2.resize(shade, size, interpolation=cv2.INTER_LINEAR)
         # what lies at a pixel now is what lay there, less the way that it has gone
-        source = (self._pixels - flow).astype(np.float32)
-        nothing = np.empty(0, np.float32)
-        moved = cv2.remap(shade, source, nothing, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        columns, rows = (np.ascontiguousarray((self._pixels - flow)[:, :, k], np.float32) for k in (0, 1))
+        moved = cv2.remap(shade, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.ascontiguousarray(np.moveaxis(moved * self._camera.gain[:, :, None], -1, 0), np.float32)
 
     def _shade(self, position: Array, normal: Array) -> Array:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
+import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from tactile_base.yaml_file import Section
+from tactile_base.yaml_file import Section, text_of
 from tactile_bringup.camera_view import check, serve, watching
 from tactile_bringup.commands.changes import (
     add_command,
@@ -21,13 +22,17 @@ from tactile_bringup.commands.changes import (
 )
 from tactile_bringup.scene_values import write_into
 from tactile_bringup.staged_arm import arm_of
+from tactile_drivers.uvc_camera import UvcCameraSettings
 from tactile_drivers.video_devices import find_devices
+from tactile_perception.datasets.check_plots import draw_inputs
+from tactile_perception.datasets.suggestion import suggested
 from tactile_scene.arm_settings import ArmLimits, SafetySettings
 from tactile_scene.camera import CAMERAS
 from tactile_scene.scene import EXTERNAL, SIM, ArmScene, SensorScene, SensorSettings
 from tactile_scene.scene_file import load_scene
 
 EXAMPLE = "exposure=0.005"
+_LOOKS = 12  # images
 #: Written into a scene even where they are the defaults: a picture must be the same tomorrow.
 PINNED = ("format", "width", "height", "exposure", "white_balance")
 
@@ -44,6 +49,10 @@ def register(subparsers: Any) -> None:
     checked.add_argument("--markers", type=positive_int, metavar="N", help="how many the sensor has")
     checked.add_argument("--seconds", type=float, default=2.0, metavar="S", help="to look for (2)")
     checked.add_argument("--blur", type=float, default=2.0, metavar="PX", help="largest that is sharp (2)")
+    inputs = add_command(commands, "inputs", run_inputs, help="how its images become a network's", status=1)
+    _add_source(inputs)
+    inputs.add_argument("--seconds", type=float, default=10.0, metavar="S", help="to press it in (10)")
+    inputs.add_argument("--out", type=Path, default=Path("inputs.png"), help="a picture (inputs.png)")
     scene = add_command(commands, "scene", run_scene, help="the camera's part of a scene", status=1)
     _add_source(scene)
     scene.add_argument("--into", type=Path, metavar="FILE", help="scene file to write it into")
@@ -52,7 +61,11 @@ def register(subparsers: Any) -> None:
 def _add_source(parser: Any) -> None:
     add = parser.add_argument
     add("device", nargs="?", help="path of the device (default: the only one)")
-    add("--driver", default="uvc", help="camera driver: uvc, replay, or one of another package (uvc)")
+    add(
+        "--driver",
+        default="uvc",
+        help="uvc, digit, gelsight_mini, replay, or a driver of another package (uvc)",
+    )
     add("--rate", type=float, default=60.0, metavar="HZ", help="frames a second (60)")
     add("--scene", metavar="FILE", help="take driver, settings and rate from this scene")
     add("--arm", metavar="NAME", help="and of this arm (default: the only one with a camera driver)")
@@ -111,6 +124,28 @@ def run_check(arguments: argparse.Namespace) -> int:
     return 0 if all(verdict.good for verdict in verdicts) else 1
 
 
+def run_inputs(arguments: argparse.Namespace) -> int:
+    """Look at images without and in contact, and propose their pre-processing: a picture and a file.
+
+    The first image is taken as one without contact. The file is for `tactile data collect --config`.
+    """
+    if not 1.0 <= arguments.seconds <= 600.0:
+        raise ValueError(f"--seconds {arguments.seconds:g}: must lie in [1, 600] s")
+    with watching(chosen(arguments)) as watch:
+        images = [watch.next(2.0).copy()]
+        print(f"press and shear the sensor now, in all ways, for {arguments.seconds:g} s", flush=True)
+        for _ in range(_LOOKS):
+            time.sleep(arguments.seconds / _LOOKS)
+            images.append(watch.next(2.0).copy())
+    suggestion = suggested(images, reference=True)
+    settings, path = suggestion.settings, arguments.out.with_suffix(".yaml")
+    print("\n".join([*suggestion.reasons, f"a network sees: {settings.steps}"]))
+    draw_inputs(images, settings, arguments.out, images[0])
+    path.write_text(yaml.safe_dump({"preprocessing": yaml.safe_load(text_of(settings))}, sort_keys=False))
+    print(f"{arguments.out}: does it show the skin, and little else? Then collect with --config {path}")
+    return 0
+
+
 def run_scene(arguments: argparse.Namespace) -> int:
     """Print the camera's part of a scene, or write it into one; the camera has to work for it."""
     arm = chosen(arguments)
@@ -119,7 +154,7 @@ def run_scene(arguments: argparse.Namespace) -> int:
         watch.next(2.0)
     kind = CAMERAS.load(arm.sensor.camera).settings_class
     given = arm.sensor.camera_settings.values
-    settings = dataclasses.asdict(kind.from_mapping(given))
+    settings = asdict(kind.from_mapping(given))
     values = {
         "camera": arm.sensor.camera,
         "camera_settings": {n: v for n, v in settings.items() if n in given or n in PINNED},
@@ -141,11 +176,14 @@ def chosen(arguments: argparse.Namespace) -> ArmScene:
     if arguments.scene is not None:
         return _of_scene(arguments)
     settings = changed_settings(arguments.changes, EXAMPLE)
-    if arguments.driver == "uvc" and "device" not in settings:
-        settings["device"] = arguments.device or _only_device()
+    kind = CAMERAS.load(arguments.driver).settings_class
+    if arguments.device is not None and issubclass(kind, UvcCameraSettings):
+        settings["device"] = arguments.device
+    elif arguments.driver == "uvc" and "device" not in settings:
+        settings["device"] = _only_device()
     elif arguments.device is not None:
         raise ValueError(f"{arguments.device}: the driver '{arguments.driver}' has its settings by --set")
-    CAMERAS.load(arguments.driver).settings_class.from_mapping(settings, "--set")
+    kind.from_mapping(settings, "--set")
     none = Section(Path("--set"), 1, {}, {})
     sensor = SensorScene(
         SensorSettings(camera_rate=arguments.rate),

@@ -21,6 +21,7 @@ from tactile_perception.datasets.check import CheckResult, check
 from tactile_perception.datasets.dataset import open_folder
 from tactile_perception.datasets.layout import data_folders
 from tactile_perception.datasets.table import CONVENTIONS_NAME, ConventionSettings
+from tactile_perception.estimating.image import handful
 from tactile_perception.estimating.labels import EULER_COMPONENTS, EULER_TITLES
 from tactile_perception.markers.flow import FlowSettings
 
@@ -101,6 +102,7 @@ def _write(result: CheckResult, folder: Path) -> None:
     check_plots.draw_labels(result, folder / "labels.png")
     check_plots.draw_rows(result, folder / "rows.png")
     check_plots.draw_flow(result, folder / "flow.png")
+    _draw_inputs(result, folder / "inputs.png")
     content = {
         "folder": str(result.folder.folder),
         "samples": len(result.folder),
@@ -112,3 +114,10 @@ def _write(result: CheckResult, folder: Path) -> None:
         "camera_deg": result.conventions.camera_deg if result.conventions else math.nan,
     }
     (folder / "check.json").write_text(json.dumps(content, indent=2) + "\n")
+
+
+def _draw_inputs(result: CheckResult, path: Path) -> None:
+    """What a network sees of some camera images; of processed ones that is to be seen in their folder."""
+    folder = result.folder
+    if not folder.processed and (images := handful(folder.image_folder, folder.names)):
+        check_plots.draw_inputs(images, folder.preprocessing, path, folder.reference())

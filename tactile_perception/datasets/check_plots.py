@@ -1,19 +1,24 @@
-"""Pictures of a checked data set: how labels are spread, and how markers move with them."""
+"""Pictures of a checked data set: how labels are spread, how markers move, what a network sees."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from tactile_perception.datasets.check import CheckResult
+from tactile_perception.estimating.image import Image, gray
 from tactile_perception.estimating.labels import EULER_COMPONENTS, EULER_TITLES
+from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_perception.markers.flow import regressions
 
 _DPI = 90
 _GAMMA_LARGER = 5
+SHOWN = 5  # camera images
 
 
 def draw_labels(result: CheckResult, path: Path) -> None:
@@ -77,6 +82,35 @@ def draw_flow(result: CheckResult, path: Path) -> None:
         "motion of the markers in the image by half of the range of each label; above each what is right"
     )
     _save(figure, path)
+
+
+def draw_inputs(
+    images: Sequence[Image], settings: PreprocessingSettings, path: Path, reference: Image | None = None
+) -> None:
+    """Camera images with their crop, and below each what a network sees of it; `reference` is one of them."""
+    preprocessor = Preprocessor(settings)
+    if settings.difference and reference is not None:
+        preprocessor.reference = preprocessor.processed(reference)
+    shown = images[:SHOWN]
+    figure = Figure(figsize=(2.6 * len(shown), 5.0))
+    axes = figure.subplots(2, len(shown), squeeze=False)
+    x0, y0, x1, y1 = settings.bbox
+    for (above, below), image in zip(axes.T, shown, strict=True):
+        picture = image if settings.color else gray(image)
+        above.imshow(_shown(picture), cmap="gray", vmin=0, vmax=255)
+        above.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="C1", lw=1)
+        below.imshow(
+            _shown(preprocessor.resized(preprocessor.processed(picture))), cmap="gray", vmin=0, vmax=255
+        )
+        for axis in (above, below):
+            axis.set_axis_off()
+    figure.suptitle(f"Camera images, and what a network sees of them:\n{settings.steps}", fontsize=9)
+    _save(figure, path)
+
+
+def _shown(image: Image) -> NDArray[np.uint8]:
+    """As matplotlib takes it: gray, or red, green and blue."""
+    return image if image.ndim == 2 else image[:, :, ::-1]
 
 
 def _arrows(axis: Any, rest: np.ndarray, motion: np.ndarray, color: str, name: str) -> None:

@@ -37,6 +37,7 @@ from tactile_perception.estimating.image import (
     ImageKind,
     check_image,
     common_kind,
+    handful,
     list_images,
     read_image,
     resolve,
@@ -214,12 +215,19 @@ def open_folder(
         report.notes.append("images are binary: taken as processed ones")
         processed = True
     report.samples = len(rows)
+
+    def some_images() -> tuple[list[Image], bool]:
+        reference = layout.REFERENCE_NAME not in names and (image_folder / layout.REFERENCE_NAME).exists()
+        return handful(image_folder, names), reference
+
     return TactileFolder(
         folder=folder,
         image_folder=image_folder,
         names=names,
         euler_mm_deg=np.array([row.pose + row.shear for row in rows]),
-        preprocessing=image_settings(preprocessing, parameters, kind, processed, report),
+        preprocessing=image_settings(
+            preprocessing, parameters, kind, None if processed else some_images, report
+        ),
         processed=processed,
         parameters=parameters,
         report=report,

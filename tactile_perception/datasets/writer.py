@@ -180,6 +180,8 @@ class DatasetWriter:
             "median": settings.median,
             "circle_mask_radius": settings.circle_mask_radius,
             "bbox": list(settings.bbox),
+            "dims": [settings.raw_width, settings.raw_height],
+            "undistort": list(settings.undistort),
         }
         (self.folder / layout.IMAGE_PARAMS_NAME).write_text(json.dumps(params, indent=2) + "\n")
 

@@ -130,12 +130,33 @@ class ImageKind(NamedTuple):
     channels: int
 
 
+def handful(image_folder: Path, names: list[str]) -> list[Image]:
+    """Some images spread over the names, of the size that most have: in color, or gray where they are."""
+    kind = common_kind(image_folder, names)
+    found: list[Image] = []
+    if kind is None:
+        return found
+    for name in _spread(names):
+        try:
+            image = read_image(image_folder / name, kind.channels >= 3)
+        except ImageError:
+            continue
+        if image.shape[:2] == kind.shape:
+            found.append(image)
+    return found
+
+
+def _spread(names: list[str]) -> list[str]:
+    chosen = np.unique(np.linspace(0, len(names) - 1, min(_PROBES, len(names))).round().astype(int))
+    return [names[index] for index in chosen]
+
+
 def common_kind(image_folder: Path, names: list[str]) -> ImageKind | None:
     """What more than half of some images spread over the names are; None where there is no such."""
-    chosen = np.unique(np.linspace(0, len(names) - 1, min(_PROBES, len(names))).round().astype(int))
+    chosen = _spread(names)
     kinds: Counter[ImageKind] = Counter()
-    for index in chosen:
-        path = image_folder / names[index]
+    for name in chosen:
+        path = image_folder / name
         try:
             image = read_image(path)
         except ImageError:

@@ -145,8 +145,11 @@ class ImageCheck:
 
     @property
     def still(self) -> bool:
-        """Whether the camera's latest images have shown nothing but noise."""
-        return self._stillness.still
+        """Whether the camera's latest images have shown nothing but noise, where that means something.
+
+        Gel without markers that slides along a smooth surface looks the same all the while.
+        """
+        return self.binary and self._stillness.still
 
     def exposure(self, image: Image) -> None:
         """Of a camera's image (rows, columns); raises `ImageRefused`."""

@@ -170,6 +170,27 @@ def test_of_each_format_the_luma_is_the_image(form, raw, expected):
         frame_image(raw, form, 6, 5)
 
 
+@pytest.mark.parametrize("form, luma", [("YUYV", 0), ("UYVY", 1)])
+def test_a_color_is_that_of_bt601(form, luma):
+    """Studio range: black at 16, white at 235; U and V of two pixels each, about 128."""
+    raw = np.empty((4, 6, 2), np.uint8)
+    raw[:, :, luma] = 90
+    raw[:, 0::2, 1 - luma], raw[:, 1::2, 1 - luma] = 150, 100
+    light = 1.164 * (90 - 16)
+    expected = [light + 2.018 * 22, light - 0.391 * 22 + 0.813 * 28, light - 1.596 * 28]
+    np.testing.assert_allclose(
+        frame_image(raw, form, 6, 4, color=True), np.broadcast_to(expected, (4, 6, 3)), atol=2
+    )
+
+
+def test_a_gray_device_and_a_jpeg_give_colors_where_they_are_asked_for():
+    gray = frame_image(COLOR[:, :, 0], "GREY", 6, 4, color=True)
+    assert np.array_equal(gray, np.repeat(COLOR[:, :, :1], 3, axis=2))
+    assert frame_image(FRAMES[0], "MJPG", 640, 480, color=True).shape == (480, 640, 3)
+    nv12 = np.vstack([np.full((4, 6), 90, np.uint8), np.full((2, 6), 128, np.uint8)])
+    np.testing.assert_allclose(frame_image(nv12, "NV12", 6, 4, color=True), 1.164 * (90 - 16), atol=2)
+
+
 def test_a_jpeg_padded_with_zeros_is_whole():
     padded = np.pad(FRAMES[0], [(0, 0), (0, 3000)])
     assert np.array_equal(frame_image(padded, "MJPG", 640, 480), frame_image(FRAMES[0], "MJPG", 640, 480))

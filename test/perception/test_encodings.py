@@ -61,6 +61,32 @@ def test_numbers_that_contradict_each_other_are_refused(numbers, complaint):
         pixels_of(RGB.ravel(), *numbers)
 
 
+@pytest.mark.parametrize("encoding", ORDERS)
+def test_color_that_is_asked_for_is_kept(encoding):
+    pixels = RGB[:, :, ORDERS[encoding]]
+    rows = np.pad(pixels.reshape(6, -1), [(0, 0), (0, 5)])
+    found = pixels_of(rows.ravel(), 6, 8, rows.shape[1], encoding, color=True)
+    assert np.array_equal(found, RGB[:, :, ::-1])
+
+
+@pytest.mark.parametrize("encoding, luma", [("yuv422_yuy2", 0), ("yuv422", 1)])
+def test_color_of_luma_and_chroma_is_that_of_bt601(encoding, luma):
+    """Studio range: black at 16, white at 235; U and V of two pixels each, about 128."""
+    y, u, v = np.full((2, 4), 110), 100, 180
+    cells = np.empty((2, 4, 2), np.uint8)
+    cells[:, :, luma] = y
+    cells[:, 0::2, 1 - luma], cells[:, 1::2, 1 - luma] = u, v
+    found = pixels_of(cells.ravel(), 2, 4, 8, encoding, color=True)
+    light = 1.164 * (110 - 16)
+    blue, red = light + 2.018 * (u - 128), light + 1.596 * (v - 128)
+    green = light - 0.813 * (v - 128) - 0.391 * (u - 128)
+    np.testing.assert_allclose(found, np.broadcast_to([blue, green, red], (2, 4, 3)), atol=2)
+
+
+def test_of_a_gray_message_no_color_is_made():
+    assert pixels_of(RGB[:, :, 0].ravel(), 6, 8, 8, "mono8", color=True).shape == (6, 8)
+
+
 def packed(image: np.ndarray, suffix: str) -> bytes:
     return cv2.imencode(suffix, image)[1].tobytes()
 
@@ -127,3 +153,12 @@ def test_an_image_of_another_size_is_refused_with_both_that_would_be_right():
 
 def test_every_encoding_is_tested():
     assert set(ENCODINGS) == {*ORDERS, "mono8", "8UC1", "yuv422", "yuv422_yuy2"}
+
+
+def test_a_compressed_image_keeps_its_colors_where_they_are_asked_for():
+    smooth = cv2.GaussianBlur(np.kron(RGB, np.ones((8, 8, 1), np.uint8)), (0, 0), 4.0)
+    assert np.array_equal(
+        decompressed(packed(smooth, ".png"), "bgr8; png compressed bgr8", color=True), smooth
+    )
+    jpeg = decompressed(packed(smooth, ".jpg"), "bgr8; jpeg compressed bgr8", color=True)
+    np.testing.assert_allclose(jpeg.astype(int), smooth, atol=12)

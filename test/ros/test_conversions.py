@@ -87,6 +87,18 @@ def test_an_image_survives_the_way_through_a_message():
     assert np.array_equal(image_from_bytes(bytes_from_array(3, "s", part)).array(), part)
 
 
+def test_an_image_in_color_survives_the_way_through_a_message_and_is_gray_where_that_is_wanted():
+    image = RNG.integers(0, 256, (5, 7, 3), dtype=np.uint8)
+    data = bytes_from_array(3, "s", image)
+    message = deserialize_message(data, Image)
+    assert (message.encoding, message.step, message.width, message.height) == ("bgr8", 21, 7, 5)
+    received = image_from_bytes(data)
+    assert np.array_equal(received.array(color=True), image)
+    np.testing.assert_allclose(received.array(), image @ [0.114, 0.587, 0.299], atol=0.51)
+    with pytest.raises(MessageError, match=r"must be uint8 \(height, width\) or"):
+        bytes_from_array(3, "s", image[:, :, :2])
+
+
 @pytest.mark.parametrize("frame_id", ["", "s", "sf", "arm", "arm/tactile_sensor", "größe"])
 def test_the_bytes_of_an_image_are_those_of_the_message_class_at_every_alignment(frame_id):
     image = RNG.integers(0, 256, (5, 7), dtype=np.uint8)
