@@ -77,6 +77,9 @@ def _of_camera_images(
     if "threshold_method" in stated or "threshold_block" in stated:
         suits = {key: suits[key] for key in suits if key not in _OF_LEVELS}
     settings = _checked(suits | stated, name, report)
+    shape = (images[0].shape[0], images[0].shape[1])
+    if shape != PreprocessingSettings().raw_shape:
+        report.notes.append(_other_size(shape, PreprocessingSettings()))
     report.notes.append(f"camera images: {'; '.join(suggestion.reasons)}. A network sees: {settings.steps}")
     return settings
 

@@ -68,7 +68,7 @@ def _colored(images: Sequence[Image]) -> tuple[bool, str]:
         int
     )
     bright = stack.max(axis=-1) > 0.5 * np.percentile(stack.max(axis=-1), 90)
-    spread = float(np.percentile(np.ptp(stack, axis=-1)[bright], 90))
+    spread = float(np.percentile(np.ptp(stack, axis=-1)[bright], 97))
     if spread > _COLORFUL:
         return True, f"images are in color: red, green and blue differ by {spread:.0f} levels"
     return False, f"images have three channels that are alike (to {spread:.1f} levels): taken as gray"
@@ -80,6 +80,8 @@ def _lit(grays: Sequence[Image]) -> NDArray[np.uint8]:
     side = min(stack.shape[1:]) // 24 * 2 + 1
     level = cv2.blur(stack.mean(axis=0) + 3.0 * stack.std(axis=0), (side, side))
     level -= level.min()
+    if not level.any():
+        return np.ones(level.shape, np.uint8)
     lit = (level > _LIT * np.percentile(level, 90)).astype(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(lit)
     return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])), np.uint8)

@@ -162,7 +162,7 @@ class Perceiver:
         """An image was taken for the reference; its last one decides whether they become that."""
         assert self.presence is not None
         prepare = self.estimator.preprocessor
-        if prepare.settings.difference:
+        if self.estimator.metadata.preprocessing.difference:
             self._captured.append(prepare.latest.copy())
         if not (self.presence.ready or presence.refused):
             return

@@ -282,7 +282,7 @@ CAMERAS = {
     "reports a dict, must be a CameraFrame": frames(lambda frame: {"image": frame.image}),
     "images are float64": frames(lambda frame: replace(frame, image=frame.image * 1.0)),
     "must be uint8 (height, width)": frames(
-        lambda frame: replace(frame, image=np.zeros((4, 4, 3), np.uint8))
+        lambda frame: replace(frame, image=np.zeros((4, 4, 4), np.uint8))
     ),
     "images change their size": frames(growing()),
     "changes after it was reported": frames(one_buffer()),

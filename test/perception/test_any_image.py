@@ -189,9 +189,10 @@ def test_a_reference_taken_today_replaces_that_of_the_training():
 
 
 def write(
-    path, settings: PreprocessingSettings, count: int, reference: bool = True, images: str = "processed"
-):
-    """A folder whose images tell x and z by the place and brightness of a blue blob."""
+    path, settings: PreprocessingSettings, count: int, reference: bool = True, images: str = "processed",
+    gain: float = 30.0,
+):  # fmt: skip
+    """A folder whose images tell x, y and z by the place and brightness of a blue blob."""
     random = np.random.default_rng(count)
     rows, columns = np.mgrid[:48, :64]
     with DatasetWriter(path, settings, images) as writer:
@@ -200,7 +201,7 @@ def write(
         for number in range(1, count + 1):
             euler = random.uniform([-4, -4, 0.5, -1, -1, -1], [4, 4, 6, 1, 1, 1])
             blob = np.exp(-((columns - 32 - 3 * euler[0]) ** 2 + (rows - 24 - 3 * euler[1]) ** 2) / 40.0)
-            image = 60.0 + blob[:, :, None] * 30.0 * euler[2] * np.array([1.0, 0.3, 0.0])
+            image = 60.0 + blob[:, :, None] * gain * euler[2] * np.array([1.0, 0.3, 0.0])
             writer.add(
                 number, np.clip(image + random.normal(0, 1, image.shape), 0, 255).astype(np.uint8), euler
             )
@@ -237,3 +238,30 @@ def test_a_model_file_needs_the_reference_that_it_compares_with():
         ModelMetadata.from_properties(lacking)
     with pytest.raises(MetadataError, match="unreadable metadata"):
         ModelMetadata.from_properties({**lacking, "reference": "no image"})
+
+
+def test_a_network_is_trained_on_colors_quantized_and_asked(tmp_path):
+    """From a folder in color to the file that an estimator opens: depth is the brightness of a blob."""
+    pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
+    from tactile_perception.estimating.estimator import Estimator
+    from tactile_perception.training.config import TrainConfig
+    from tactile_perception.training.quantization import quantize, training_images
+    from tactile_perception.training.settings import NetworkSettings, TrainingSettings
+    from tactile_perception.training.train import train
+
+    settings = COLOR.replaced(difference=2.0)
+    for part, count in (("train", 120), ("val", 30)):
+        write(tmp_path / "data" / part, settings, count, gain=8.0)
+    config = TrainConfig(
+        NetworkSettings(image_size=16, channels=(8, 16), batch_norm_momentum=0.2, head_gain=1.0),
+        TrainingSettings(batch_size=8, rise_epochs=1, hold_epochs=4, decay_epochs=8, threads=1),
+    )
+    train(tmp_path / "data", tmp_path / "run", config)
+    model = tmp_path / "run" / "model.onnx"
+    estimator = Estimator(model)
+    assert estimator.metadata.preprocessing.channels == 3 and estimator.metadata.layout is None
+    small = quantize(model, training_images(tmp_path / "data", model, 40), tmp_path / "small.onnx")
+    data = read_dataset(tmp_path / "data" / "val", estimator.metadata.preprocessing)
+    for each in (estimator, Estimator(small)):
+        errors = each.predict(as_input(data.images))[0][:, 2] - data.labels[:, 2]
+        assert np.abs(errors).mean() < 0.5 * np.abs(data.labels[:, 2] - data.labels[:, 2].mean()).mean()

@@ -204,7 +204,8 @@ def test_a_folder_of_camera_images_gives_the_same_inputs(folder, tmp_path):
     (raw / "images").mkdir(parents=True)
     for number in (1, 2, 3):
         cv2.imwrite(str(raw / "images" / f"image_{number}.png"), camera_image(number))
-    (raw / "targets_images.csv").write_bytes((folder / "targets_images.csv").read_bytes())
+    for name in ("targets_images.csv", "processed_image_params.json"):
+        (raw / name).write_bytes((folder / name).read_bytes())
     np.testing.assert_array_equal(read_dataset(raw).images, read_dataset(folder).images)
 
 

@@ -150,12 +150,13 @@ def test_mixture_has_the_loss_mean_and_covariance_of_its_samples():
     np.testing.assert_allclose(head.covariance(raw)[0], np.cov(drawn.T), atol=0.03)
 
 
-@pytest.mark.parametrize("stride", [1, 2])
-def test_first_block_is_convolution_and_normalization(stride):
+@pytest.mark.parametrize("stride, channels", [(1, 1), (2, 1), (1, 3), (2, 3)])
+def test_first_block_is_convolution_and_normalization(stride, channels):
     """Outputs, gradients and running statistics of the block that normalizes by its input's statistics."""
     torch.manual_seed(0)
-    fast, images = FirstBlock(stride, 5, 0.1).double(), torch.rand(3, 1, 16, 16, dtype=torch.float64)
-    plain = ConvBlock(stride * stride, 5, 0.1).double()
+    fast = FirstBlock(stride, 5, 0.1, channels).double()
+    images = torch.rand(3, channels, 16, 16, dtype=torch.float64)
+    plain = ConvBlock(channels * stride * stride, 5, 0.1).double()
     plain.load_state_dict(fast.state_dict())
     expected = plain(torch.nn.functional.pixel_unshuffle(images, stride))
     answer = fast(images)
@@ -169,21 +170,22 @@ def test_first_block_is_convolution_and_normalization(stride):
         torch.testing.assert_close(value, plain.get_buffer(name), rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("stride, unpooled", [(1, 0), (2, 0), (1, 1)])
+@pytest.mark.parametrize("stride, unpooled, channels", [(1, 0, 1), (2, 0, 1), (1, 1, 1), (2, 1, 3)])
 @pytest.mark.parametrize("name", HEADS)
-def test_exported_model_answers_like_the_network(tmp_path, name, stride, unpooled):
+def test_exported_model_answers_like_the_network(tmp_path, name, stride, unpooled, channels):
     torch.manual_seed(3)
     settings = SMALL.replaced(head=name, first_stride=stride, channels=(4, 6), unpooled_blocks=unpooled)
-    network = PoseNetwork(settings)
+    network = PoseNetwork(settings, channels=channels)
     with torch.no_grad():
         network.head.weight.normal_(std=0.2)
-        network(torch.rand(8, 1, 32, 32))  # running statistics
+        network(torch.rand(8, channels, 32, 32))  # running statistics
         network.start_from(torch.randn(100, 6))
     network.eval()
     sigma = np.linspace(0.1, 0.6, 6)
-    metadata = ModelMetadata(PreprocessingSettings(size=32), {}, {})
+    levels = {"color": True, "threshold_method": "none"} if channels == 3 else {}
+    metadata = ModelMetadata(PreprocessingSettings(size=32, **levels), {}, {})
     estimator = Estimator(export_onnx(network, tmp_path / "m.onnx", metadata, sigma))
-    images = np.random.default_rng(0).random((3, 1, 32, 32), dtype=np.float32)
+    images = np.random.default_rng(0).random((3, channels, 32, 32), dtype=np.float32)
     mean, covariance = estimator.predict(images)
     with torch.inference_mode():
         raw = network(torch.from_numpy(images))

@@ -14,6 +14,7 @@ from tactile_geometry import se3
 from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.estimating.estimator import ModelError
 from tactile_perception.estimating.labels import EstimateError
+from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.estimating.presence import PresenceSettings
 from tactile_records.bags.reader import read_bag
 from tactile_records.replay import images as replay_images
@@ -48,7 +49,9 @@ class Brightness:
 
         self.preprocessor = Reduced()
         self.force = None
-        self.metadata = SimpleNamespace(layout=None, plain_depth=None, novelty=None)
+        self.metadata = SimpleNamespace(
+            layout=None, plain_depth=None, novelty=None, preprocessing=PreprocessingSettings()
+        )
 
     def estimate_prepared(self, prepared) -> PoseGaussian:
         depth = 0.01 * float(prepared.mean())

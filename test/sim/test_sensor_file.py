@@ -62,8 +62,8 @@ def test_an_unknown_sensor_is_told_with_those_there_are():
         load_sensor("tactip_frank")
 
 
-@pytest.mark.parametrize("name", config_names("sensors"))
-def test_the_shipped_sensors_see_all_their_markers(name):
+@pytest.mark.parametrize("name", [name for name in config_names("sensors") if name != "gel_dome"])
+def test_the_shipped_sensors_with_markers_see_all_of_them(name):
     file = load_sensor(name)
     sensor = TacTip(file.sensor, seed=1)
     true = sensor.marker_pixels
