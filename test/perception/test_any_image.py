@@ -254,7 +254,7 @@ def test_a_network_is_trained_on_colors_quantized_and_asked(tmp_path):
         write(tmp_path / "data" / part, settings, count, gain=8.0)
     config = TrainConfig(
         NetworkSettings(image_size=16, channels=(8, 16), batch_norm_momentum=0.2, head_gain=1.0),
-        TrainingSettings(batch_size=8, rise_epochs=1, hold_epochs=4, decay_epochs=8, threads=1),
+        TrainingSettings(batch_size=8, rise_epochs=1, hold_epochs=10, decay_epochs=60, threads=1),
     )
     train(tmp_path / "data", tmp_path / "run", config)
     model = tmp_path / "run" / "model.onnx"
