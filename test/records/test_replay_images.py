@@ -204,3 +204,40 @@ def test_images_that_cannot_show_the_sensor_are_refused_as_they_were_live(tmp_pa
         "arm: 1 images cannot be used, the first: repeated: it equals the one before it bit for bit: "
         "the camera is frozen"
     ]
+
+
+class Blue(Reduced):
+    """Takes images in color alone."""
+
+    def __call__(self, image):
+        assert image.shape == (480, 640, 3)
+        return super().__call__(np.ascontiguousarray(image[:, :, 0]))
+
+
+class Colors(Brightness):
+    """The same by blue alone, which a picture in gray does not tell apart from red."""
+
+    def __init__(self, model: object = "") -> None:
+        super().__init__(model)
+        self.metadata.preprocessing = PreprocessingSettings(color=True, threshold_method="none")
+        self.preprocessor = Blue()
+
+
+@pytest.mark.parametrize("kind", ["raw", "compressed"])
+def test_a_model_of_colors_gets_the_colors_of_a_recording(tmp_path, monkeypatch, kind):
+    monkeypatch.setattr(replay_images, "Estimator", Colors)
+    source = recording(30).without("/arm/contact/estimate").without("/arm/contact/presence")
+    source.note["parameters"] = json.dumps({"/arm/estimator": ANY_IMAGE})
+    for k in range(30):
+        stamp_ns, image = START_NS + k * STEP_NS, np.dstack([picture(k), picture(0), picture(0)])
+        head = header(stamp_ns, "arm/tactile_sensor")
+        if kind == "raw":
+            message = make(IMAGE, head, 480, 640, "bgr8", 0, 1920, image.reshape(-1))
+            source.add("/arm/tactile/image", IMAGE, message, stamp_ns)
+        else:
+            message = make(COMPRESSED, head, "bgr8; png", cv2.imencode(".png", image)[1].reshape(-1))
+            source.add("/arm/tactile/image/compressed", COMPRESSED, message, stamp_ns)
+    valid = [belief for belief in beliefs(source, tmp_path / "bag")[0] if belief.valid]
+    assert [belief.stamp_ns for belief in valid] == [START_NS + k * STEP_NS for k in range(FREE, 30)]
+    first = 0.01 * np.float32(picture(FREE).mean() / 255.0)
+    assert valid[0].mean[2, 3] == pytest.approx(-first, rel=1e-3)

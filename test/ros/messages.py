@@ -59,9 +59,10 @@ def gaussian_message(stamp_ns: int, frame_id: str, mean: np.ndarray, cov: np.nda
 
 
 def image_message(stamp_ns: int, frame_id: str, image: np.ndarray) -> Image:
-    """Of a gray image (height, width) uint8."""
+    """Of an image uint8, gray (height, width) or in color (height, width, 3)."""
     data = array.array("B", image.tobytes())
-    height, width = image.shape
+    height, width, *colors = image.shape
+    step, encoding = (3 * width, "bgr8") if colors else (width, MONO8)
     return Image(
-        header=header(stamp_ns, frame_id), height=height, width=width, encoding=MONO8, step=width, data=data
+        header=header(stamp_ns, frame_id), height=height, width=width, encoding=encoding, step=step, data=data
     )

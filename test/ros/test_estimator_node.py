@@ -30,14 +30,17 @@ SECOND = 1_000_000_000
 REFERENCE_FRAMES = 3
 
 
-def write_model(path, outputs: int = 6, told: ContactModel = SURFACE) -> str:
+def write_model(
+    path, outputs: int = 6, told: ContactModel = SURFACE, settings: PreprocessingSettings | None = None
+) -> str:
     """A model that answers with the mean brightness, and with NaN for a nearly white image."""
+    settings = settings or PreprocessingSettings()
     onnx = pytest.importorskip("onnx", reason="onnx writes the model of this test; `make test` installs it")
-    side = PreprocessingSettings().size
+    side, channels = settings.size, settings.channels
     graph = onnx.parser.parse_graph(f"""
-        tiny (float[N,1,{side},{side}] {INPUT_NAME})
+        tiny (float[N,{channels},{side},{side}] {INPUT_NAME})
         => (float[N,{outputs}] {MEAN}, float[N,{outputs}] {INVERSE_SIGMA})
-        <float limit = {{0.7}}, float zero = {{0.0}}, float ten = {{10.0}}, int64[2] axes = {{2, 3}},
+        <float limit = {{0.7}}, float zero = {{0.0}}, float ten = {{10.0}}, int64[3] axes = {{1, 2, 3}},
          int64[2] repeats = {{1, {outputs}}}, int64[2] shape = {{-1, 1}}>
         {{
             bright4 = ReduceMean<keepdims=0>({INPUT_NAME}, axes)
@@ -52,7 +55,8 @@ def write_model(path, outputs: int = 6, told: ContactModel = SURFACE) -> str:
         }}""")
     model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 18)], ir_version=8)
     facts = {"training_data": {"samples": 0}, "validation": {"loss": 0.0}}
-    metadata = ModelMetadata(PreprocessingSettings(), contact_model=told, **facts)
+    reference = np.full((*settings.crop_shape, 3), 90, np.uint8) if settings.difference else None
+    metadata = ModelMetadata(settings, contact_model=told, reference=reference, **facts)
     onnx.helper.set_model_props(model, metadata.to_properties())
     onnx.save(model, str(path))
     return str(path)
@@ -278,6 +282,32 @@ def test_colors_and_crops_are_estimated_as_the_gray_image_that_they_are_of(camer
         np.testing.assert_allclose(
             gaussian_from_message(camera.estimates[-1].pose).mean, expected.mean, atol=1e-12
         )
+
+
+def test_a_model_of_colors_compares_them_with_todays_image_and_refuses_gray(graph, tmp_path):
+    """Without a threshold, in another size: light that has grown since the training is no contact."""
+    settings = PreprocessingSettings(
+        raw_width=320, raw_height=240, bbox=(40, 0, 280, 240), color=True, median=0, difference=2.0,
+        threshold_method="none", circle_mask_radius=0, size=32,
+    )  # fmt: skip
+    camera = Camera(graph, write_model(tmp_path / "color.onnx", settings=settings))
+    camera.stamp_ns, camera.sent = time.time_ns() - SECOND, 0
+    still = np.broadcast_to(np.linspace(60, 160, 320)[None, :, None], (240, 320, 3)).astype(np.uint8)
+    pressed = still.copy()
+    pressed[100:140, 140:180, 0] += 60  # blue alone
+    for _ in range(REFERENCE_FRAMES):
+        camera.send(still)
+    rest, touch = camera.send(still), camera.send(pressed)
+    assert graph.wait(lambda: {rest, touch} <= stamps(camera.presences))
+    assert [message.in_contact for message in camera.presences[-2:]] == [False, True]
+    assert camera.answered(touch) and rest not in stamps(camera.estimates)
+    alone = Estimator(tmp_path / "color.onnx")
+    alone.preprocessor.reference = still[:, 40:280]
+    found = gaussian_from_message(camera.estimates[-1].pose).mean
+    np.testing.assert_allclose(found, alone.estimate(pressed).mean, atol=1e-9)
+    camera.send(np.ascontiguousarray(still[:, :, 0]))
+    report = graph.wait_for_count("estimator", "images refused")
+    assert "must be a color image (bgr8)" in report.message
 
 
 def test_an_image_without_a_stamp_is_refused_with_what_would_be_right(camera):
