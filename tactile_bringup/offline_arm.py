@@ -18,6 +18,7 @@ from tactile_base.settings import SettingGroups
 from tactile_base.stamps import NANOSECOND, SECOND_NS
 from tactile_bringup.offline_perception import Perception
 from tactile_bringup.run_sequence import ArmPlan
+from tactile_control.force_reference import StampedForce
 from tactile_control.partners import Partners
 from tactile_control.phase_machine import PhaseMachine
 from tactile_control.phases import Command, StampedPose, StampedPresence, TaskInputs
@@ -28,6 +29,7 @@ from tactile_drivers.safety import SafeArm
 from tactile_filter.bayes_filter import ContactFilter
 from tactile_filter.contact_bounds import TACTIP
 from tactile_filter.filter_settings import FilterSettings, load_filter_settings
+from tactile_filter.force import ForceFilter
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.image_check import ImageCheckSettings
 from tactile_perception.estimating.perceive import DepthAgreement, Percept
@@ -97,6 +99,7 @@ class _Event:
     due_ns: int
     presence: StampedPresence
     belief: StampedPose | None
+    force: StampedForce | None = None
 
 
 class OfflineArm:
@@ -121,7 +124,7 @@ class OfflineArm:
         self.safe.neighbours = neighbours(scene, plan.arm, cell.status, cell.arms)
         sensor = scene.arms[plan.arm].sensor
         self.perceive = perceive
-        self.filter = ContactFilter(options.filter, TACTIP)
+        self.filter, self.forces = ContactFilter(options.filter, TACTIP), ForceFilter()
         self.random = np.random.default_rng([options.seed, number] if number else options.seed)
         self.log = log(
             RunRecord(
@@ -199,7 +202,7 @@ class OfflineArm:
             self._abort(self.safe.alarm)
             return
         pose = StampedPose(state.stamp_ns, state.T_base_controlled)
-        self.inputs = TaskInputs(self.inputs.belief, self.inputs.presence, pose)
+        self.inputs = replace(self.inputs, sensor_pose=pose)
         self.log.state(state)
         if state.mode is ArmMode.FAULT:
             self._abort(state.reason)
@@ -214,8 +217,10 @@ class OfflineArm:
         for event in due:
             if event.belief is not None or not event.presence.in_contact:
                 self.safe.take_contact(event.presence.stamp_ns, event.belief.T if event.belief else None)
-            belief = event.belief or self.inputs.belief
-            self.inputs = TaskInputs(belief, event.presence, self.inputs.sensor_pose)
+            if event.force is not None:
+                self.safe.take_force(event.force.stamp_ns, event.force.force)
+            belief, force = event.belief or self.inputs.belief, event.force or self.inputs.force
+            self.inputs = TaskInputs(belief, event.presence, self.inputs.sensor_pose, force=force)
             command = self._step(event.due_ns)
             if command is not None:
                 self.log.latency(event.presence.stamp_ns, event.due_ns)
@@ -266,7 +271,8 @@ class OfflineArm:
         if belief.valid:
             self.log.belief(belief)
         pose = StampedPose(frame.stamp_ns, belief.mean) if belief.measured else None
-        self._send(StampedPresence(frame.stamp_ns, percept.in_contact, percept.still), pose)
+        presence = StampedPresence(frame.stamp_ns, percept.in_contact, percept.still)
+        self._send(presence, pose, self._force(frame.stamp_ns, percept))
 
     def _percept(self, frame: Frame) -> Percept | None:
         """What perception makes of a frame, as far as nothing lies; None of an image that it refuses."""
@@ -282,6 +288,16 @@ class OfflineArm:
         told = replace(percept, estimate=self.lies.estimate(name, stamp_ns, percept.estimate))
         return self.agreement(told, DEPTH_DIFFERENCE)
 
+    def _force(self, stamp_ns: int, percept: Percept) -> StampedForce | None:
+        """What is believed of the force, as the filter node does it; None where nothing is told of it."""
+        if not percept.in_contact:
+            self.forces.reset()
+        if percept.force is None or self.forces.step(stamp_ns, percept.force):
+            return None
+        assert self.forces.belief is not None
+        self.log.force(stamp_ns, percept.force, self.forces.belief, self.forces.nis)
+        return StampedForce(stamp_ns, self.forces.belief.mean)
+
     def _refuse(self, counter: str, text: str) -> None:
         """Count what the estimator node would count, and tell the task."""
         self.refused[counter] += 1
@@ -293,11 +309,13 @@ class OfflineArm:
             due.append(self.queue.popleft())
         return due
 
-    def _send(self, presence: StampedPresence, belief: StampedPose | None) -> None:
+    def _send(
+        self, presence: StampedPresence, belief: StampedPose | None, force: StampedForce | None = None
+    ) -> None:
         latency = self.options.latency
         if self.options.jitter > 0.0:
             latency += self.options.jitter * float(self.random.random())
         due_ns = self.cell.stamp_ns + round(latency * SECOND_NS)
         if self.queue:
             due_ns = max(due_ns, self.queue[-1].due_ns)  # a chain of nodes keeps the order
-        self.queue.append(_Event(due_ns, presence, belief))
+        self.queue.append(_Event(due_ns, presence, belief, force))

@@ -26,6 +26,7 @@ from tactile_bringup.offline_arm import START_NS
 from tactile_bringup.run_sequence import ArmPlan
 from tactile_control.phases import Command
 from tactile_filter.belief import Belief
+from tactile_filter.force import ForceGaussian
 from tactile_perception.estimating.perceive import Percept
 from tactile_records.bags.writer import BagWriter
 from tactile_records.messages import (
@@ -159,6 +160,15 @@ class _ToldLog(RunLog):
         super().belief(belief)
         data = state_bytes(belief, self._sensor, belief.stamp_ns)
         self._tell(topics.STATE, belief.stamp_ns, data)
+
+    def force(self, stamp_ns: int, estimate: ForceGaussian, belief: ForceGaussian, nis: float) -> None:
+        """What the network and the filter say of the force."""
+        super().force(stamp_ns, estimate, belief, nis)
+        for topic, told, number in (
+            (topics.FORCE_ESTIMATE, estimate, np.nan), (topics.FORCE_BELIEF, belief, nis)
+        ):  # fmt: skip
+            numbers = *told.mean.tolist(), *told.cov.ravel().tolist(), number
+            self._tell(topic, stamp_ns, headed_bytes(topic.type, stamp_ns, self._sensor, *numbers))
 
     def command(self, now_ns: int, goal: int, command: Command) -> None:
         """What the controller does."""

@@ -51,10 +51,14 @@ class TaskInContact(PhasedTask, Protocol):
     checks: tuple[Check, ...]
     pace: float
 
+    @property
+    def needs_force(self) -> bool: ...
+
     def explained(self, reason: str) -> str: ...
     def contact_seen(self, begins: bool = False) -> None: ...
     def contact_made(self) -> None: ...
     def contact_lost(self) -> bool: ...
+    def too_hard(self) -> str: ...
     def serve(self, velocity: Array, hold_integral: bool = False) -> ServoingOutput: ...
     def reference_velocity(self, elapsed: float) -> Array: ...
     def finished(self, elapsed: float) -> bool: ...
@@ -162,6 +166,9 @@ class InContact(ContactPhase):
     needs = ("pose", "presence", "belief")
     ends_moving = True
 
+    def inputs(self) -> tuple[str, ...]:
+        return (*self.needs, "force") if self.task.needs_force else self.needs
+
     def interrupted(self) -> str:
         """Contact lost: asked before the watchdog, since without contact the last belief grows old."""
         if not self.task.contact_lost():
@@ -175,6 +182,8 @@ class InContact(ContactPhase):
 
     def adjust(self, twist: Array, waiting: str) -> tuple[Array, str]:
         """Slower where the arm's own motion speaks against the beliefs; away where it refutes them."""
+        if why := self.task.too_hard():
+            raise PhaseFailed(why)
         check = min(self.task.checks, key=lambda check: (check.pace(), -check.doubt))
         self.task.pace = pace = check.pace()
         if pace == 0.0:

@@ -25,12 +25,14 @@ from tactile_control import contact_phases
 from tactile_control.carried_check import CarriedCheck
 from tactile_control.contact_phases import APPROACH, LEAVE, LIFT, SETTLE, TOUCH, InContact, Servo
 from tactile_control.contact_settings import ContactTaskSettings
+from tactile_control.force_reference import ForceReference, StampedForce, normal_force
 from tactile_control.phase_machine import PhaseMachine
 from tactile_control.phases import (
     GO_TO_START,
     RETREAT,
     Goal,
     GoToPose,
+    InputRefused,
     Phase,
     StampedPose,
     Stopping,
@@ -70,7 +72,9 @@ class ContactTask(PhaseMachine):
         self.odometer.step = settings.contact.pose_step
         self.servoing = ServoingController(settings.servoing, settings.pid)
         self.predictor = ContactPredictor(settings.prediction)
-        self.check = SurfaceCheck(settings.surface, settings.servoing.reference[2])
+        self.press = ForceReference(settings.force)
+        self.force: StampedForce | None = None
+        self.check = SurfaceCheck(settings.surface, self._deepest_reference)
         self.width, self.carried = WidthCheck(settings.surface), CarriedCheck(settings.surface)
         self.checks: tuple[Check, ...] = (self.check, self.width, self.carried)
         self._T_base_work: Array | None = None
@@ -90,7 +94,8 @@ class ContactTask(PhaseMachine):
         settings = self.settings
         self.servoing.configure(settings.servoing, settings.pid)
         self.predictor.configure(settings.prediction)
-        self.check.configure(settings.surface, settings.servoing.reference[2])
+        self.press.settings = settings.force
+        self.check.configure(settings.surface, self._deepest_reference)
         self.width.configure(settings.surface)
         self.carried.configure(settings.surface)
         self.odometer.step = settings.contact.pose_step
@@ -162,6 +167,7 @@ class ContactTask(PhaseMachine):
         assert self.belief is not None
         belief = self._carried_on(self.belief)
         if self._servo is None or belief.stamp_ns > (self.servoing.pid.stamp_ns or 0):
+            self._press()
             self._servo = self.servoing.step(
                 belief.stamp_ns, belief.T, velocity, hold_integral or self.limited
             )
@@ -171,6 +177,35 @@ class ContactTask(PhaseMachine):
     def limited(self) -> bool:
         """Whether the last twist was slower than wanted: an integral would only wind up."""
         return "speed" in self.limited_by or self.pace < 1.0
+
+    @property
+    def needs_force(self) -> bool:
+        """Whether contacts have to know their force."""
+        return self.settings.force.needed
+
+    @property
+    def _deepest_reference(self) -> float:
+        """The largest depth (m) that a contact may be servoed to."""
+        depth, force = self.settings.servoing.reference[2], self.settings.force
+        return max(depth, force.most_depth) if force.normal > 0.0 else depth
+
+    def too_hard(self) -> str:
+        """Why the contact presses with too much force; '' while it does not."""
+        most = self.settings.force.most
+        if most == 0.0 or self.force is None or self.belief is None or self.force.stamp_ns < self.touched_ns:
+            return ""
+        pressed = normal_force(self.force.force, self.belief.T)
+        return f"the contact presses with {pressed:.1f} N, over {most:g} N" if pressed > most else ""
+
+    def _press(self) -> None:
+        """In its own phases: to the depth at which the contact presses with the reference force."""
+        if self.settings.force.normal == 0.0 or not isinstance(self.current_phase, Servo):
+            return
+        assert self.force is not None and self.belief is not None
+        X_sf = self.belief.T
+        depth, force = float(se3.inverse(X_sf)[2, 3]), normal_force(self.force.force, X_sf)
+        start = self.settings.servoing.reference[2]
+        self.servoing.press(self.press.step(self.belief.stamp_ns, start, depth, force, self.pace < 1.0))
 
     # ---- its phases ----
 
@@ -238,6 +273,8 @@ class ContactTask(PhaseMachine):
         """An approach has made a contact: another feature than before, and the way to it is no motion."""
         self.dry_touched = self._servo = None
         self.servoing.reset()
+        self.servoing.press(self.settings.servoing.reference[2])
+        self.press.reset()
         self.predictor.reset()
 
     def contact_lost(self) -> bool:
@@ -265,6 +302,10 @@ class ContactTask(PhaseMachine):
             se3.checked_pose("belief", belief.T)
             self.belief = belief
             self._follow_contact(belief.stamp_ns, belief.T)
+        if newer(inputs.force, self.force):
+            if not np.isfinite(inputs.force.force).all():
+                raise InputRefused("the believed force is not finite")
+            self.force = inputs.force
 
     def _follow_contact(self, stamp_ns: int, X_sf: Array) -> None:
         """Let those know the belief who compare it with the sensor's pose at its exposure."""

@@ -267,7 +267,7 @@ class PhaseMachine(ABC):
             self._wanted = np.zeros(6)
             return self._wanted, ""
         partner = "" if self.phase in (STOPPING, RETREAT) else self.partner
-        stamps = {name: getattr(self, name).stamp_ns for name in part.needs}
+        stamps = {name: getattr(self, name).stamp_ns for name in part.inputs()}
         state = self.watchdog.step(self.now_ns, stamps, partner)
         self._lacks = self.explained(state.reason) if state.reason else ""
         reason = "; ".join(filter(None, (self._lacks, state.other)))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingGroups, Settings
+from tactile_control.force_reference import StampedForce
 from tactile_control.motion import TravelSettings, Waypoint, twist_towards, way_to_start
 from tactile_geometry import se3
 
@@ -59,12 +60,16 @@ class StampedImage:
 
 @dataclass(frozen=True)
 class TaskInputs:
-    """The latest of each input; None where none has arrived yet. `image` is for tasks that need images."""
+    """The latest of each input; None where none has arrived yet.
+
+    `image` is for tasks that need images, `force` where the network tells it.
+    """
 
     belief: StampedPose | None = None
     presence: StampedPresence | None = None
     sensor_pose: StampedPose | None = None
     image: StampedImage | None = None
+    force: StampedForce | None = None
 
 
 class InputRefused(ValueError):
@@ -214,7 +219,7 @@ class Phase(Generic[T]):
     task : whose phase it is
     name : as the status tells it, one of the task's `phases`
     leads_to : the phase that follows when it is over
-    needs : inputs without which it does not move, of "pose", "presence", "belief"
+    needs : inputs without which it does not move, of "pose", "presence", "belief", "force"
     ends_moving : in the step in which it is over its twist is sent, not zero
     """
 
@@ -228,6 +233,10 @@ class Phase(Generic[T]):
         self.task = task
         self.name, self.leads_to = name or self.name, leads_to or self.leads_to
         self.needs = self.needs if needs is None else needs
+
+    def inputs(self) -> tuple[str, ...]:
+        """What it needs now, with what settings may ask for besides."""
+        return self.needs
 
     # ---- what a phase says; `over` and `twist` may raise `PhaseFailed` ----
 
@@ -252,7 +261,7 @@ class Phase(Generic[T]):
 
     def missing(self) -> list[str]:
         """What it needs and has yet to come."""
-        return [name for name in self.needs if getattr(self.task, name) is None]
+        return [name for name in self.inputs() if getattr(self.task, name) is None]
 
     def interrupted(self) -> str:
         """The phase to go to at once, whatever inputs are too old; '' to go on."""

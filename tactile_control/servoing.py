@@ -93,6 +93,12 @@ class ServoingController:
         if pid != self.pid.settings:
             self.pid.configure(pid)
 
+    def press(self, depth: float) -> None:
+        """Take another depth (m) for that of the reference, until `configure`."""
+        euler = self._reference[0].copy()
+        euler[2] = depth
+        self._reference = euler, se3.pose_from_euler(euler)
+
     def step(
         self, stamp_ns: int, X_sf: ArrayLike, velocity: ArrayLike = (0.0,) * 6, hold_integral: bool = False
     ) -> ServoingOutput:

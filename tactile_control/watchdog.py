@@ -24,6 +24,9 @@ class WatchdogSettings(Settings):
     presence_age: float = setting(
         0.1, lower=0.005, upper=1.0, unit="s", doc="oldest contact presence acted upon"
     )
+    force_age: float = setting(
+        0.1, lower=0.005, upper=1.0, unit="s", doc="oldest believed force acted upon, where force.* needs it"
+    )
     pose_age: float = setting(0.1, lower=0.005, upper=1.0, unit="s", doc="oldest sensor pose acted upon")
     ramp_time: float = setting(
         0.06, lower=0.0, upper=1.0, unit="s", doc="time in which the last twist goes to zero, linearly"

@@ -48,6 +48,7 @@ class MotionBounds:
         self.delay = _delay(arm.limits, arm.safety)
         self.neighbours: Sequence[Neighbour] = ()
         self._tip_radius = arm.sensor.settings.tip_radius if arm.sensor is not None and feels else 0.0
+        self._most_force = arm.sensor.settings.protective_force if arm.sensor is not None and feels else 0.0
         self._room, self._boxes, self._reasons = _room(arm)
         self.forget()
 
@@ -55,11 +56,16 @@ class MotionBounds:
         """Nothing is known of the contact."""
         self._contact: tuple[int, Array] | None = None  # stamp, T_base_feature
         self._felt_ns: int | None = None  # stamp of the last word on the contact, also that there is none
+        self._pressed: tuple[int, float] | None = None  # stamp, size of the force (N)
 
     def take_contact(self, stamp_ns: int, T_base_feature: Array | None) -> None:
         """Take where the feature (4, 4) is that the sensor touches; None: it touches nothing."""
         self._felt_ns = max(stamp_ns, self._felt_ns or stamp_ns)
         self._contact = None if T_base_feature is None else (stamp_ns, T_base_feature)
+
+    def take_force(self, stamp_ns: int, force: Array) -> None:
+        """Take the force (3,) on the sensor, N."""
+        self._pressed = stamp_ns, float(np.linalg.norm(force))
 
     def allowed(
         self, state: ArmState, twist: Array, kinematics: Kinematics | None
@@ -73,8 +79,18 @@ class MotionBounds:
         if self._tip_radius and (self._felt_ns is None or self._is_old(self._felt_ns, state.stamp_ns)):
             out, crawls = self._crawling(out)
             reasons += [f"no word of the contact: {self._settings.crawl_speed:g} m/s"] * crawls
+        if self._presses_too_hard(state.stamp_ns) and out[2] > 0.0:
+            out = out * np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1.0])
+            reasons.append(f"force {self._most_force:g} N")
         part, reason = self._joints_allow(state, out, kinematics)
         return (part * out, [*reasons, reason]) if part < 1.0 else (out, reasons)
+
+    def _presses_too_hard(self, stamp_ns: int) -> bool:
+        """Whether the sensor is pressed with more than it may be; then it goes no further along its z."""
+        pressed = self._pressed
+        if not self._most_force or pressed is None or self._is_old(pressed[0], stamp_ns):
+            return False
+        return pressed[1] > self._most_force
 
     def _is_old(self, felt_ns: int, stamp_ns: int) -> bool:
         return stamp_ns - felt_ns > self._settings.contact_memory * SECOND_NS
@@ -115,7 +131,9 @@ def bounds_in_words(arm: ArmScene, feels: bool) -> dict[str, str]:
     if arm.sensor is not None:
         depth, shear = arm.sensor.settings.protective_depth, safety.largest_shear
         crawl = f"; {1e3 * safety.crawl_speed:g} mm/s without news of the contact"
-        felt = f"{1e3 * depth:g} mm deep, {1e3 * shear:g} mm of shear{crawl}"
+        force = arm.sensor.settings.protective_force
+        pressed = f", {force:g} N" if force else ""
+        felt = f"{1e3 * depth:g} mm deep, {1e3 * shear:g} mm of shear{pressed}{crawl}"
         words.append(felt if feels else "none: nobody tells what the sensor feels")
     return dict(zip(BOUNDS, words, strict=False))
 

@@ -305,6 +305,11 @@ class SafeArm:
                 return  # without the pose then it bounds nothing now; the last one still does for a while
             self._bounds.take_contact(stamp_ns, se3.compose(T_base_sensor, X_sf))
 
+    def take_force(self, stamp_ns: int, force: Array) -> None:
+        """Take the force (3,) that is believed to act on the sensor, N in {s}, at a stamp."""
+        with self._lock:
+            self._bounds.take_force(stamp_ns, force)
+
     def _completed(self, state: ArmState) -> ArmState:
         """The driver's state with what the stage knows."""
         in_force = self._in_force_ns is not None

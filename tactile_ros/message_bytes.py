@@ -218,5 +218,6 @@ COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _read_head = cdr.MessageReader(IMAGE, before=PIXELS)
 
 read_state = HeadedReader(ContactState)
+read_force = HeadedReader(ContactForce)
 """Stamp (ns), frame and numbers; xi and flags among them are at `STATE_XI` and `STATE_FLAGS`."""
 STATE_XI, STATE_FLAGS = read_state.place("xi"), read_state.place("flags").start

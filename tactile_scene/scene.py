@@ -40,6 +40,11 @@ class SensorSettings(Settings):
     protective_depth: float = setting(
         0.010, unit="m", lower=1e-4, upper=0.03, doc="depth of the tip at which the arm stops in fault"
     )
+    protective_force: float = setting(
+        0.0, unit="N", lower=0.0, upper=1000.0,
+        doc="force on the sensor, where the network tells it, from which on the arm goes no further along "
+        "the sensor's z; 0: any",
+    )  # fmt: skip
     time_offset: float = setting(
         0.0, unit="s", lower=-0.5, upper=0.5,
         doc="added to the stamps of the camera, so that they are those of the exposures on the arm's clock",

@@ -28,6 +28,7 @@ from tactile_bringup.commands.changes import (
     natural_int,
     workers_of,
 )
+from tactile_perception.datasets.layout import FORCE_COLUMNS
 from tactile_perception.datasets.writer import DatasetWriter, as_png, write_processed
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_records.collecting.parameters import check_same_run
@@ -103,7 +104,7 @@ def _generate_split(
         parameters["preprocessing"] = dataclasses.asdict(preprocessing)
     check_same_run(folder, parameters)
     started = time.monotonic()
-    with DatasetWriter(folder, preprocessing) as writer:
+    with DatasetWriter(folder, preprocessing, extra=FORCE_COLUMNS) as writer:
         missing = sorted(set(range(1, count + 1)) - writer.done)
         if preprocessing.difference:
             writer.add_image(0, TacTip(sensor.sensor, arguments.seed).image())
@@ -112,9 +113,9 @@ def _generate_split(
         with Progress(console) as progress:
             samples = run_jobs(work, missing, workers_of(arguments), progress.say)
             for sample in progress.counted(samples, name, len(missing), "samples"):
-                png, euler_mm_deg = sample.result()
+                png, euler_mm_deg, force = sample.result()
                 write_processed(folder, sample.job, png)
-                writer.add_row(sample.job, euler_mm_deg)
+                writer.add_row(sample.job, euler_mm_deg, dict(zip(FORCE_COLUMNS, force, strict=True)))
         path, there = writer.finish(), len(writer.done)
     took = duration(time.monotonic() - started)
     say(console, f"{path}: {there} samples, {len(missing)} new in {took}")
@@ -122,12 +123,13 @@ def _generate_split(
 
 @dataclass(frozen=True)
 class ProcessedSample:
-    """Makes the sample of a number: its image as it is stored, and its label."""
+    """Makes the sample of a number: its image as it is stored, and its labels, pose (6,) and force (3,)."""
 
     collector: Collector
     preprocessing: PreprocessingSettings
     start: int  # index of number 1
 
-    def __call__(self, number: int) -> tuple[bytes, list[float]]:
+    def __call__(self, number: int) -> tuple[bytes, list[float], list[float]]:
         sample = self.collector(self.start + number - 1)
-        return as_png(Preprocessor(self.preprocessing).processed(sample.image)), sample.euler_mm_deg.tolist()
+        png = as_png(Preprocessor(self.preprocessing).processed(sample.image))
+        return png, sample.euler_mm_deg.tolist(), sample.truth.force.tolist()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tactile_base.stamps import SECOND_NS
 from tactile_control.phases import Command
 from tactile_filter.belief import Belief, BeliefFlag
+from tactile_filter.force import ForceGaussian
 from tactile_perception.estimating.perceive import Percept
 from tactile_records.runs.metrics import COMMAND_STAGE
 from tactile_records.runs.record import Event, RunRecord, Series, StageSeries
@@ -61,6 +62,11 @@ class RunLog:
         fused = bool(int(belief.flags) & _FUSED)
         row = (belief.stamp_ns, belief.mean, belief.cov, belief.nis, belief.nis_dof, fused)
         self._rows["belief"].append(row)
+
+    def force(self, stamp_ns: int, estimate: ForceGaussian, belief: ForceGaussian, nis: float) -> None:
+        """What the network says of the force, and what the filter believes of it."""
+        self._rows["force_estimate"].append((stamp_ns, estimate.mean, estimate.cov, np.nan))
+        self._rows["force"].append((stamp_ns, belief.mean, belief.cov, nis))
 
     def command(self, now_ns: int, goal: int, command: Command) -> None:
         """What the controller sends; `goal` is the index of the goal under way."""

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.stamps import SECOND_NS
 from tactile_geometry import se3
 from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas, inverses
 from tactile_records.runs.record import GaussianSeries, PresenceSeries, RunRecord, TruthSeries
@@ -75,6 +76,9 @@ REPORT_FIELDS: dict[str, str] = {
     "force.mean_n.*": "mean of the believed force on the sensor at work, x, y, z in its frame (N)",
     "force.deviation_n.*": "its standard deviation (N)",
     "force.largest_n": "the largest believed force (N)",
+    "force.reference_n": "reference of the normal force (N); where there is one",
+    "force.normal_rms_n": "RMS of the believed normal force about it, from a second after the work began",
+    "force.normal_bias_n": "its mean deviation",
     "force.nis_per_dof": "mean of the force's NIS over its 3 degrees of freedom (1 for a consistent filter)",
     "latency_ms.p50": "median time from exposure to command emission",
     "latency_ms.p99": "its 99th percentile",
@@ -321,6 +325,25 @@ def _force(record: RunRecord) -> dict[str, Any]:
         },
         "largest_n": largest(np.linalg.norm(series.force, axis=1)),
         "nis_per_dof": mean(series.nis[np.isfinite(series.nis)]) / 3.0,
+        **_about_reference(record),
+    }
+
+
+def _about_reference(record: RunRecord) -> dict[str, float]:
+    """How far the believed normal force is from the reference that the controller's settings name."""
+    reference = float(record.settings.get("controller", {}).get("force.normal", 0.0))
+    if not reference:
+        return {}
+    belief, force = record.belief, record.force
+    at = np.searchsorted(belief.stamp_ns, force.stamp_ns).clip(0, max(0, len(belief) - 1))
+    work = record.working(force.stamp_ns)
+    begun = force.stamp_ns >= (force.stamp_ns[work][0] + SECOND_NS if work.any() else 0)
+    chosen = work & begun & (belief.stamp_ns[at] == force.stamp_ns)
+    normal = np.abs(np.einsum("ni,ni->n", belief.mean[at[chosen], :3, 2], force.force[chosen]))
+    return {
+        "reference_n": reference,
+        "normal_rms_n": rms(normal - reference),
+        "normal_bias_n": mean(normal - reference),
     }
 
 

@@ -41,7 +41,7 @@ from tactile_drivers.motion_bounds import bounds_in_words
 from tactile_drivers.safety import SafeArm
 from tactile_filter.contact_bounds import ContactBounds
 from tactile_geometry import se3
-from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState
+from tactile_msgs.msg import ArmCommand, ArmStatus, ContactForce, ContactState
 from tactile_records.messages import arm_status_bytes, pose_bytes
 from tactile_ros.conversions import header, transform_stamped
 from tactile_ros.external_arm import ExternalArm, external_settings
@@ -53,6 +53,7 @@ from tactile_ros.message_bytes import (
     STATE_XI,
     Layout,
     command_from_bytes,
+    read_force,
     read_state,
     twist_bytes,
 )
@@ -144,6 +145,9 @@ class ArmNode(ManagedNode):
         if scene.sensor is not None:
             take = self._take_contact
             self.subscribe(ContactState, topics.STATE.name, take, STATE, raw=True, frame=self.frame)
+            if scene.sensor.settings.protective_force:
+                force, take = topics.FORCE_BELIEF.name, self._take_force
+                self.subscribe(ContactForce, force, take, STATE, raw=True, frame=self.frame)
         self._forget()
         self._open_stop_line()
         if cell is not None:
@@ -328,6 +332,14 @@ class ArmNode(ManagedNode):
                 self.safe.take_contact(stamp_ns, self.bounds.pose(np.array(numbers[STATE_XI])))
             except se3.PoseError as error:
                 raise MessageError(str(error)) from error
+
+    def _take_force(self, data: bytes) -> None:
+        """And so does how hard it is pressed."""
+        stamp_ns, _, numbers = read_force(data)
+        force = np.array(numbers[:3])
+        if not np.isfinite(force).all():
+            raise MessageError("its force is not finite")
+        self.safe.take_force(stamp_ns, force)
 
     def _on_estop(self, message: Bool) -> None:
         """An emergency stop of all arms; the topic cannot take it back."""

@@ -24,6 +24,7 @@ from tactile_base import topics
 from tactile_base.raised import told
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
+from tactile_control.force_reference import StampedForce
 from tactile_control.partners import Partners
 from tactile_control.phases import FAILED, Command, StampedPose, StampedPresence, TaskInputs
 from tactile_control.task_step import task_step
@@ -32,13 +33,13 @@ from tactile_filter.contact_bounds import ContactBounds
 from tactile_geometry import se3
 from tactile_geometry.transform_buffer import TransformUnavailable
 from tactile_msgs.action import RunTask
-from tactile_msgs.msg import ContactState
+from tactile_msgs.msg import ContactForce, ContactState
 from tactile_records.messages import status_bytes
 from tactile_ros.colleagues import listen_to_partners
 from tactile_ros.image_input import ImageTopicSettings, PosedImages, subscribe_images
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import lost_counter
-from tactile_ros.message_bytes import STATE_FLAGS, STATE_XI, read_state
+from tactile_ros.message_bytes import STATE_FLAGS, STATE_XI, read_force, read_state
 from tactile_ros.parameters import GroupParameters, declare_read_only, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
@@ -98,6 +99,8 @@ class ControllerNode(TaskNode):
                 raw=True,
                 frame=self.sensor_frame,
             )
+            take, frame = self._take_force, self.sensor_frame
+            self.subscribe(ContactForce, topics.FORCE_BELIEF.name, take, STATE, raw=True, frame=frame)
         listen_to_partners(self, self.partners)
         self.path_out = self.publisher(PoseArray, topics.PATH.name, STATE)
         self.open_task(self.images.match if self.images else None)
@@ -114,6 +117,7 @@ class ControllerNode(TaskNode):
         """Forget what has been received."""
         self.belief: StampedPose | None = None
         self.presence: StampedPresence | None = None
+        self.force: StampedForce | None = None
         if self.images is not None:
             self.images.forget()
         self.last_step_ns = 0
@@ -144,6 +148,13 @@ class ControllerNode(TaskNode):
             self.count("beliefs refused")
             self.warn("belief", f"contact/state refused: {error}")
 
+    def _take_force(self, data: bytes) -> None:
+        """Keep the force; a step is made with the belief, which comes by another topic."""
+        stamp_ns, _, numbers = read_force(data)
+        if not np.isfinite(numbers[:3]).all():
+            raise MessageError("its force is not finite")
+        self.force = StampedForce(stamp_ns, np.array(numbers[:3]))
+
     # ---- steps ----
 
     def step(self) -> None:
@@ -155,7 +166,8 @@ class ControllerNode(TaskNode):
         else:
             pose = self.sensor_pose()
             image = self.images.newest if self.images else None
-            inputs = TaskInputs(self.belief, self.presence, StampedPose(*pose) if pose else None, image)
+            posed = StampedPose(*pose) if pose else None
+            inputs = TaskInputs(self.belief, self.presence, posed, image, self.force)
             broken = self.run.task.traceback
             self.run.task.partner = self.partners.trouble(time.monotonic())
             self.run.task.partner_hold = self.partners.hold

@@ -32,7 +32,7 @@ from tactile_msgs.msg import ContactForce, ContactPresence, ContactState
 from tactile_records.messages import state_bytes
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter
-from tactile_ros.message_bytes import HeadedReader, force_bytes, read_gaussian
+from tactile_ros.message_bytes import HeadedReader, force_bytes, read_force, read_gaussian
 from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
@@ -49,7 +49,6 @@ from tactile_wire.pose_numbers import gaussian_from_numbers
 
 PRESENCE, ESTIMATE = topics.PRESENCE.name, topics.ESTIMATE.name
 read_presence = HeadedReader(ContactPresence)
-read_force = HeadedReader(ContactForce)
 
 
 class FilterNode(ManagedNode):

@@ -51,7 +51,9 @@ class Cell:
         owned=True,
         **safety,
     ):
-        tip = SimpleNamespace(settings=SimpleNamespace(protective_depth=0.010, tip_radius=0.020))
+        tip = SimpleNamespace(
+            settings=SimpleNamespace(protective_depth=0.010, tip_radius=0.020, protective_force=0.0)
+        )
         limits = limits or ArmLimits()
         self.arm = driver(limits, np.eye(4) if start is None else start, 10**9)
         scene = SimpleNamespace(
