@@ -49,10 +49,13 @@ class Cell:
         limits=None,
         feels=False,
         owned=True,
+        protective_force=0.0,
         **safety,
     ):
         tip = SimpleNamespace(
-            settings=SimpleNamespace(protective_depth=0.010, tip_radius=0.020, protective_force=0.0)
+            settings=SimpleNamespace(
+                protective_depth=0.010, tip_radius=0.020, protective_force=protective_force
+            )
         )
         limits = limits or ArmLimits()
         self.arm = driver(limits, np.eye(4) if start is None else start, 10**9)
@@ -365,6 +368,42 @@ def test_no_command_takes_the_skin_deeper_than_the_protective_depth(driver, spee
     assert 0.0095 < deepest < 0.0101
     assert "depth 0.01 m" in cell.safe.state.limited_by
     assert cell.drive(-0.02 * DOWN, 200) == "" and depth_in(surface, cell) < 0.007  # the way out is open
+
+
+@pytest.mark.parametrize("driver", [SimArm, Follower])
+def test_a_sensor_that_is_pressed_too_hard_goes_no_further_in_and_may_go_out_and_along(driver):
+    """Of a stiff skin, 3 N a mm: less than the depth allows."""
+    cell = Cell(LOOKING_DOWN, driver, protective_force=12.0, feels=True)
+    surface = touching(cell)
+
+    def press(twist, steps):
+        depths = []
+        for _ in range(steps):
+            keep(cell, surface)
+            depths.append(depth_in(surface, cell))
+            cell.safe.take_force(cell.arm.stamp_ns, np.array([0.0, 0.0, -3e3 * max(0.0, depths[-1])]))
+            cell.drive(twist, 1)
+        return depths
+
+    deepest = max(press(0.02 * DOWN, 1500))
+    assert 0.004 < deepest < 0.0046
+    assert "force 12 N" in cell.safe.state.limited_by
+    before = cell.position.copy()
+    press(0.01 * DOWN + 0.01 * np.eye(6)[0], 100)
+    assert np.linalg.norm(cell.position[:2] - before[:2]) > 0.001  # along the surface it goes on
+    assert press(-0.02 * DOWN, 200)[-1] < 0.003
+
+
+def test_a_force_that_nobody_tells_any_more_bounds_for_a_while_and_no_longer():
+    cell = Cell(contact_memory=0.1, protective_force=12.0, feels=True)
+    touching(cell, 0.001)
+    cell.safe.take_force(cell.arm.stamp_ns, np.array([0.0, 0.0, -20.0]))
+    cell.drive(0.01 * DOWN, 8)
+    assert cell.position[2] < 1e-4
+    for _ in range(200):
+        cell.safe.take_contact(cell.arm.stamp_ns, None)
+        cell.drive(0.01 * DOWN, 1)
+    assert cell.position[2] > 0.001
 
 
 def test_a_belief_bounds_the_motion_for_a_while_and_no_longer():

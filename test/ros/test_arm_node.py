@@ -228,7 +228,7 @@ def test_frames_of_a_camera_driver_become_images_and_the_latency_of_the_stage_ca
     assert latencies[-1].stage == "camera" and latencies[-1].dropped[-1] >= 1
 
 
-def test_frames_that_are_no_gray_images_are_refused_and_told(graph, bench):
-    sensor = SENSOR_TEXT.replace("camera_rate", "camera_settings: {channels: 3}, camera_rate")
+def test_frames_that_are_no_images_are_refused_and_told(graph, bench):
+    sensor = SENSOR_TEXT.replace("camera_rate", "camera_settings: {channels: 2}, camera_rate")
     bench(CAMERA_NODE, sensor=sensor)
     assert "must be uint8 (height, width)" in graph.wait_for_count("camera", "frames refused").message

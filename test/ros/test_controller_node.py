@@ -16,7 +16,7 @@ from tf2_msgs.msg import TFMessage
 from tactile_drivers.ownership import REST_FIRST
 from tactile_geometry import se3
 from tactile_msgs.action import RunTask
-from tactile_msgs.msg import ArmStatus, ContactState, ControllerStatus
+from tactile_msgs.msg import ArmStatus, ContactForce, ContactState, ControllerStatus
 from tactile_ros import qos
 from tactile_ros.conversions import (
     header,
@@ -42,6 +42,7 @@ class World(ControlledArm):
         super().__init__(graph)
         self.state_out = graph.publisher(ContactState, "contact/state")
         self.arm_out = graph.publisher(ArmStatus, "arm/status")
+        self.force_out = graph.publisher(ContactForce, "contact/wrench_belief")
         self.reset()
 
     def reset(self) -> None:
@@ -49,6 +50,7 @@ class World(ControlledArm):
         self.depth = 0.003
         self.in_contact = True
         self.images = True
+        self.force: float | None = None  # N, that the skin gives back; None: nobody tells it
         self.arm_status = ArmStatus()
         self.lie = lambda message: None
         self.hear_anew()
@@ -71,6 +73,9 @@ class World(ControlledArm):
         self.arm_out.publish(self.arm_status)
         if self.images:
             self.last_stamp = stamp_ns
+            if self.force is not None:
+                told = {"force": [0.0, 0.0, -self.force], "covariance": (0.01 * np.eye(3)).ravel()}
+                self.force_out.publish(ContactForce(header=header(stamp_ns, SENSOR), **told))
             self.state_out.publish(self.state(stamp_ns))
 
     def state(self, stamp_ns: int) -> ContactState:
@@ -137,6 +142,29 @@ def test_without_a_goal_the_twist_is_zero(world):
     assert world.run_until(lambda: len(world.twists) > 5)
     assert all(np.all(m.twist == 0.0) for m in world.twists)
     assert world.phase() == "idle"
+
+
+def test_a_task_at_a_force_presses_until_it_is_there_and_rests_when_nobody_tells_it_any_more(world):
+    world.force = 0.5
+    world.set("force.normal", 1.0)
+    try:
+        world.following()
+        deeper = world.statuses[-1].reference[2]
+        assert world.run_until(lambda: world.statuses[-1].reference[2] > max(deeper, 0.003) + 0.0002)
+        world.force = 1.0
+        assert world.run_until(lambda: len(world.statuses) > 3 and world.phase() == "follow")
+        held = world.statuses[-1].reference[2]
+        count = len(world.statuses)
+        assert world.run_until(lambda: len(world.statuses) > count + 40)
+        assert world.statuses[-1].reference[2] == pytest.approx(held, abs=2e-4)
+        assert not world.rests()
+        world.force = None
+        assert world.run_until(world.rests)
+        assert world.run_until(lambda: "force is" in world.statuses[-1].reason)
+        world.force = 1.0
+        assert world.run_until(lambda: not world.rests())
+    finally:
+        world.set("force.normal", 0.0)
 
 
 TROUBLES = {
