@@ -71,3 +71,35 @@ def test_of_a_skin_that_was_not_measured_nothing_is_said_and_without_contact_the
     model = TacTipSettings()
     assert largest_shear(replace(model, skin=model.skin.replaced(stiffness_ratio=4.0)), 3 * MM) is None
     assert largest_shear(model, -MM) == 0.0 == largest_shear(IdealSensorSettings(), -MM)
+
+
+def thick_layer(depth: float, radius: float, modulus: float, poisson: float) -> float:
+    """Hertz's force on a sphere, with the correction for a layer as thick that is bonded at its back.
+
+    Dimitriadis, Horkay, Maresca, Kachar, Chadwick, "Determination of elastic moduli of thin layers of soft
+    material using the atomic force microscope", Biophysical Journal 82 (2002), eq. 12.
+    """
+    a = -(1.2876 - 1.4678 * poisson + 1.3442 * poisson**2) / (1.0 - poisson)
+    b = (0.6387 - 1.0277 * poisson + 1.5164 * poisson**2) / (1.0 - poisson)
+    x = np.sqrt(radius * depth) / radius / np.pi
+    correction = (
+        1.0 - 2.0 * a * x + 4.0 * a**2 * x**2 - 8.0 * (a**3 + 4.0 * np.pi**2 / 15.0 * b) * x**3
+        + 16.0 * a * (a**3 + 3.0 * np.pi**2 / 5.0 * b) * x**4
+    )  # fmt: skip
+    return 4.0 / 3.0 * modulus / (1.0 - poisson**2) * np.sqrt(radius) * depth**1.5 * correction
+
+
+def test_the_normal_force_of_a_tip_of_gel_alone_is_that_of_contact_mechanics():
+    """Without a skin and friction, where the contact is wider than the mesh and small against the tip."""
+    model = TacTipSettings()
+    model = replace(
+        model,
+        skin=model.skin.replaced(stiffness_ratio=1.0),
+        contact=model.contact.replaced(friction=0.0, max_sweeps=3000, tolerance=1e-9),
+    )
+    sensor = TacTip(model)
+    sensor.advance(PLANE, DOWN @ se3.pose_from_euler([0.0, 0.0, -MM, 0.0, 0.0, 0.0]))
+    for depth in (0.5 * MM, 0.8 * MM, MM, 1.5 * MM, 2 * MM):
+        sensor.advance(PLANE, DOWN @ se3.pose_from_euler([0.0, 0.0, depth, 0.0, 0.0, 0.0]))
+        expected = thick_layer(depth, 0.020, model.skin.gel_modulus, model.skin.poisson_ratio)
+        assert sensor.truth().normal_force == pytest.approx(expected, rel=0.1)
