@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from tactile_base.settings import SettingGroups, Settings, setting
-from tactile_control.force_reference import ForceSettings
+from tactile_control.force_reference import ForceControlSettings
 from tactile_control.limiter import LimiterSettings
 from tactile_control.motion import TravelSettings
 from tactile_control.pid import PidSettings
@@ -89,4 +89,4 @@ class ContactTaskSettings(SettingGroups):
     watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
     prediction: PredictionSettings = field(default_factory=PredictionSettings)
     surface: SurfaceSettings = field(default_factory=SurfaceSettings)
-    force: ForceSettings = field(default_factory=ForceSettings)
+    force: ForceControlSettings = field(default_factory=ForceControlSettings)

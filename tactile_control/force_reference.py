@@ -31,7 +31,7 @@ class StampedForce:
 
 
 @dataclass(frozen=True)
-class ForceSettings(Settings):
+class ForceControlSettings(Settings):
     """The force of a contact; forces are told by networks of the model `surface_force` alone."""
 
     normal: float = setting(
@@ -75,7 +75,7 @@ class ForceReference:
         m; None before the first step.
     """
 
-    def __init__(self, settings: ForceSettings) -> None:
+    def __init__(self, settings: ForceControlSettings) -> None:
         self.settings = settings
         self.reset()
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from kinematic_plant import MS, Plane, Plant, Sphere, freeze_after, pointing_down, rest_after, run
 
 from tactile_base.settings import SettingError
-from tactile_control.force_reference import ForceReference, ForceSettings, StampedForce, normal_force
+from tactile_control.force_reference import ForceControlSettings, ForceReference, StampedForce, normal_force
 from tactile_control.phases import FAILED
 from tactile_control.task_file import load_controller
 from tactile_control.tasks.surface_following import (
@@ -39,7 +39,7 @@ def test_on_a_skin_of_any_stiffness_the_depth_is_found_whose_force_is_the_refere
 ):
     """An arm that is where the reference was a step ago; nothing is known of the skin."""
     normal = pressed(wanted, (at_3_mm, power))
-    press = ForceReference(ForceSettings(normal=normal, rate=rate))
+    press = ForceReference(ForceControlSettings(normal=normal, rate=rate))
     depth, way = start, []
     for k in range(round(12.0 / rate * 60)):
         depth = press.step(k * STEP_NS, start, depth, pressed(depth, (at_3_mm, power)))
@@ -50,7 +50,7 @@ def test_on_a_skin_of_any_stiffness_the_depth_is_found_whose_force_is_the_refere
 
 
 def test_without_a_contact_it_goes_to_its_largest_depth_at_its_rate_and_no_further():
-    settings = ForceSettings(normal=5.0, rate=1.0, most_depth=0.005)
+    settings = ForceControlSettings(normal=5.0, rate=1.0, most_depth=0.005)
     press = ForceReference(settings)
     depths = [press.step(k * STEP_NS, 0.003, 0.003, 0.0) for k in range(200)]
     assert np.diff(depths).max() <= 0.003 * 1.0 * STEP_NS * 1e-9 * 1.01  # the factor is held to 2
@@ -59,7 +59,7 @@ def test_without_a_contact_it_goes_to_its_largest_depth_at_its_rate_and_no_furth
 
 
 def test_it_holds_while_the_arm_does_not_follow_and_begins_anew():
-    press = ForceReference(ForceSettings(normal=5.0))
+    press = ForceReference(ForceControlSettings(normal=5.0))
     press.step(0, 0.003, 0.003, 1.0)
     held = [press.step(k * STEP_NS, 0.003, 0.003, 1.0, hold=True) for k in range(1, 50)]
     assert set(held) == {0.003}
@@ -80,7 +80,7 @@ def test_the_normal_force_is_along_the_normal_whatever_sign_its_labels_had():
 )
 def test_settings_that_contradict_each_other_are_refused(changes):
     with pytest.raises(SettingError):
-        ForceSettings().replaced(**changes)
+        ForceControlSettings().replaced(**changes)
 
 
 # ---- tasks ----
@@ -93,7 +93,7 @@ def settings(request):
 
 
 def of_force(settings, **force):
-    return dataclasses.replace(settings, force=ForceSettings(**force))
+    return dataclasses.replace(settings, force=ForceControlSettings(**force))
 
 
 def feeling(law=SOFT, lie=lambda stamp_ns, force: force):
