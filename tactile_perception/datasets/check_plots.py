@@ -30,7 +30,7 @@ def draw_labels(result: CheckResult, path: Path) -> None:
         axis.hist(labels[:, k], bins=40, color="0.5")
         axis.set(xlabel=EULER_TITLES[k], ylabel="samples" if k % 3 == 0 else "")
     for axis, (i, j) in ((axes[0, 3], (0, 1)), (axes[1, 3], (3, 4))):
-        axis.plot(labels[:, i], labels[:, j], "k,", alpha=0.6)
+        axis.plot(labels[:, i], labels[:, j], "k.", **_dots(len(labels)))
         axis.set(xlabel=EULER_TITLES[i], ylabel=EULER_COMPONENTS[j])
         axis.set_aspect("equal", adjustable="datalim")
     figure.suptitle(f"{result.folder.folder}: {len(labels)} samples")
@@ -111,6 +111,12 @@ def draw_inputs(
 def _shown(image: Image) -> NDArray[np.uint8]:
     """As matplotlib takes it: gray, or red, green and blue."""
     return image if image.ndim == 2 else image[:, :, ::-1]
+
+
+def _dots(count: int) -> dict[str, float]:
+    """How so many dots are drawn that few are seen, and many do not run into one."""
+    root = max(count, 1) ** 0.5
+    return {"ms": min(8.0, max(3.0, 150.0 / root)), "mew": 0.0, "alpha": min(0.8, max(0.15, 40.0 / root))}
 
 
 def _arrows(axis: Any, rest: np.ndarray, motion: np.ndarray, color: str, name: str) -> None:
