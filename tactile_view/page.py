@@ -22,6 +22,7 @@ from tactile_view.panels import BeliefPanel, MotionPanel, TouchPanel
 from tactile_view.words import (
     events_in_words,
     other_in_words,
+    overload_in_words,
     set_html,
     state_in_words,
     troubles_in_words,
@@ -149,13 +150,12 @@ class Page:
             set_html(self._events, events_in_words(self.state))
 
     def _state_in_words(self) -> str:
-        """Of the arm that is looked at all, of the others what they do."""
+        """Whether the machine is overloaded; of the arm that is looked at all, of the others what they do."""
         state = self.state.arms[self.arm]
         words = state_in_words(state, self.view.skin(self.arm))
         others = [each for name, each in sorted(self.state.arms.items()) if name != self.arm]
-        if others:
-            words = "<br>".join([f"<b>{escape(self.arm)}</b>", words, *map(other_in_words, others)])
-        return words
+        lines = [f"<b>{escape(self.arm)}</b>", words, *map(other_in_words, others)] if others else [words]
+        return "<br>".join(filter(None, [overload_in_words(self.state), *lines]))
 
     def say_end(self) -> None:
         """Leave a word on the page, which stays as it is when nobody serves it any more."""

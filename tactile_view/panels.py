@@ -25,7 +25,7 @@ from tactile_records.runs.euler_poses import (
 from tactile_records.runs.record import GaussianSeries
 from tactile_view.cell_state import WINDOW, ArmState, Types
 from tactile_view.marker_picture import marker_picture
-from tactile_view.words import estimate_in_words, latency_in_words, set_html
+from tactile_view.words import BOX, estimate_in_words, latency_in_words, set_html
 
 Array = NDArray[Any]
 
@@ -99,7 +99,7 @@ class TouchPanel:
         self.choice: Any = server.gui.add_dropdown("show", (PLAIN, MARKERS))
         self.choice.on_update(lambda event: self._draw_anew())
         self._image = server.gui.add_image(
-            np.full((4, 4, 3), 235, np.uint8), label="tactile image", format="jpeg"
+            np.full((4, 4, 3), 235, np.uint8), label="tactile image", format="jpeg", visible=False
         )
         self._words = server.gui.add_html("no image yet")
 
@@ -122,6 +122,7 @@ class TouchPanel:
         self._shown = 0
 
     def _draw(self, pixels: Array) -> None:
+        self._image.visible = True
         if self.choice.value == MARKERS:
             self._image.image, words = marker_picture(gray(pixels))
             self._markers = f"{escape(words)}<br>"
@@ -135,11 +136,12 @@ class BeliefPanel:
 
     def __init__(self, server: viser.ViserServer) -> None:
         lines = (("-2σ", BAND), ("+2σ", BAND), ("belief", BELIEF), ("reference", REFERENCE), ("truth", TRUTH))
-        server.gui.add_html(
+        words = (
             "Sensor in the feature frame: <span style='color:#1e78dc'>belief, ± 2σ</span>, "
             "<span style='color:#787878'>reference</span>, <span style='color:#14963c'>truth</span>, of the "
             f"last {WINDOW:g} s"
         )
+        server.gui.add_html(BOX.format(words))
         self._plots = {}
         for name in ORDER:
             column, _, what = component(name)
@@ -186,10 +188,11 @@ class MotionPanel:
 
     def __init__(self, server: viser.ViserServer) -> None:
         lines = (("wanted", REFERENCE), ("sent", BELIEF), ("arm", TRUTH))
-        server.gui.add_html(
+        words = (
             "<span style='color:#787878'>wanted</span>, <span style='color:#1e78dc'>sent</span> and "
             "<span style='color:#14963c'>done by the arm</span>"
         )
+        server.gui.add_html(BOX.format(words))
         names = (*(f"v{axis} (mm/s)" for axis in "xyz"), *(f"ω{axis} (deg/s)" for axis in "xyz"))
         self._plots = [Plot(server, name, lines) for name in names]
         self._latency = server.gui.add_html("")

@@ -7,12 +7,12 @@ from typing import Any
 
 from tactile_base.stamps import SECOND_NS
 from tactile_records.bags.contents import Bag
-from tactile_records.runs.record import Event
 from tactile_scene.scene import Scene
 from tactile_scene.scene_file import SceneError, load_scene
 from tactile_view.cell_state import CellState
 from tactile_view.page import Page
 from tactile_view.recording import Recording
+from tactile_view.repeats import CLOSE, Repeated, repeats
 from tactile_view.words import set_html
 
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
@@ -20,6 +20,8 @@ COLORS = {"phase": "#1e78dc", "refused": "#d2691e", "warning": "#c8a000", "diagn
           "parameter": "#7828c8", "stop": "#c01c1c", "arm": "#c01c1c"}  # fmt: skip
 OTHER = "#888888"
 MOST_LISTED, MOST_MARKS = 60, 1000  # events in words, places of the time line
+CLOSE_PART = 0.02  # of a recording: what follows closer would be one mark
+LASTING = "3px"  # how thick what lasts is drawn: other marks stay to be seen
 MARKS_PERIOD = 1.0  # s
 
 
@@ -80,9 +82,9 @@ class RecordingPage(Page):
             self._time.value = round(recording.seconds, 2)
 
     def _show_events(self) -> None:
-        recording = self.source
-        events = recording.events
-        marks = timeline(events, recording.start_ns, max(recording.duration, 1e-3))
+        recording, length = self.source, max(self.source.duration, 1e-3)
+        events = repeats(recording.events, max(CLOSE, CLOSE_PART * length))
+        marks = timeline(events, recording.start_ns, length)
         if self._marks.content != marks:
             self._marks.content = marks
         part, left = recording.looked_through, len(events) - MOST_LISTED
@@ -93,30 +95,39 @@ class RecordingPage(Page):
         set_html(self._problem, "still being written" if recording.growing else problem)
 
 
-def timeline(events: list[Event], start_ns: int, length: float) -> str:
-    """A bar with a mark for each event; at one place one of each kind."""
+def timeline(events: list[Repeated], start_ns: int, length: float) -> str:
+    """A bar with a mark where an event begins, at one place one of each kind, and a thin line as it lasts."""
     mark = (
-        "<div title='{}' style='position:absolute;top:0;height:100%;width:2px;"
-        "left:{:.2f}%;background:{}'></div>"
+        "<div title='{}' style='position:absolute;bottom:0;height:{};"
+        "left:{:.2f}%;width:{};background:{}'></div>"
     )
-    places = {
-        (round(MOST_MARKS * (event.stamp_ns - start_ns) / SECOND_NS / length), event.kind): event.text
-        for event in reversed(events)
+
+    def place(ns: int) -> float:
+        return round(MOST_MARKS * (ns - start_ns) / SECOND_NS / length) / MOST_MARKS * 100.0
+
+    marks = {
+        (place(event.first_ns), place(event.last_ns), event.kind): event.words for event in reversed(events)
     }  # of several at one place the first
-    marks = "".join(
-        mark.format(escape(text, quote=True), 100.0 * place / MOST_MARKS, COLORS.get(kind, OTHER))
-        for (place, kind), text in places.items()
-    )
+    shown = ""
+    for (first, last, kind), words in marks.items():
+        title, color = escape(words, quote=True), COLORS.get(kind, OTHER)
+        shown += mark.format(title, LASTING, first, f"{last - first:.2f}%", color) if last > first else ""
+        shown += mark.format(title, "100%", first, "2px", color)
     kinds = sorted({event.kind for event in events})
     legend = " ".join(f"<span style='color:{COLORS.get(kind, OTHER)}'>{kind}</span>" for kind in kinds)
-    bar = f"<div style='position:relative;height:14px;margin:0 0.6em;background:#eee'>{marks}</div>"
+    bar = f"<div style='position:relative;height:14px;margin:0 0.6em;background:#eee'>{shown}</div>"
     return f"{bar}<div style='font-size:0.75em;padding:0 0.8em'>{legend}</div>"
 
 
-def listed(events: list[Event], start_ns: int) -> list[str]:
+def listed(events: list[Repeated], start_ns: int) -> list[str]:
     """Events in words, with their times."""
+
+    def seconds(ns: int) -> str:
+        return f"{(ns - start_ns) / SECOND_NS:.2f}"
+
     return [
-        f"{(event.stamp_ns - start_ns) / SECOND_NS:.2f} s {event.kind}: {escape(event.text)}"
+        f"{seconds(event.first_ns)}{f' to {seconds(event.last_ns)}' if event.times > 1 else ''} s "
+        f"{escape(event.words)}"
         for event in events
     ]
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tactile_base.process_limits import OVERLOADED
 from tactile_base.stamps import SECOND_NS
 from tactile_geometry import se3
 from tactile_records.runs.euler_poses import (
@@ -24,8 +25,12 @@ from tactile_records.runs.from_bag import STAGES
 from tactile_records.runs.record import GaussianSeries
 from tactile_sim.skin_force import SkinModel, largest_shear
 from tactile_view.cell_state import ArmState, CellState
+from tactile_view.repeats import repeats
 
 LATEST = 12  # events
+#: What nodes say of a machine that has no time left for them; and how long ago (s) it is told at most.
+OVERLOAD_SIGNS = OVERLOADED, "cannot hold", "held up", "came too fast", "known to be lost"
+LATELY = 5.0
 BOX = "<div style='font-size:0.85em;line-height:1.5;padding:0 0.5em'>{}</div>"
 
 
@@ -128,10 +133,27 @@ def troubles_in_words(state: CellState, remarks: Mapping[str, str] | None = None
     return "<br>".join(lines) or "no node complains"
 
 
+def overload_in_words(state: CellState) -> str:
+    """Which nodes say now, or said lately, that the machine is too slow for them; empty without any."""
+    since_ns = state.now_ns - LATELY * SECOND_NS
+    told = [event.text for event in state.events if event.stamp_ns >= since_ns]
+    told += [f"{node}: {text}" for node, text in state.trouble.items()]
+    names = {
+        text.partition(": ")[0].replace("/", ".").lstrip(".")
+        for text in told
+        if any(sign in text for sign in OVERLOAD_SIGNS)
+    }
+    if not names:
+        return ""
+    who = escape(", ".join(sorted(names)))
+    advice = "end what else runs (<code>top</code>), or use --priority 20 or a lower --rate"
+    return f"<b style='color:#c01c1c'>overloaded</b>: {who} had too little time; {advice}"
+
+
 def events_in_words(state: CellState) -> str:
     """The latest events, newest first, with their age."""
     lines = []
-    for event in list(state.events)[-LATEST:][::-1]:
-        ago = max(0.0, (state.now_ns - event.stamp_ns) / SECOND_NS)
-        lines.append(f"{ago:.1f} s ago, {event.kind}: {escape(event.text)}")
+    for event in sorted(repeats(state.events), key=lambda event: event.last_ns)[-LATEST:][::-1]:
+        ago = max(0.0, (state.now_ns - event.last_ns) / SECOND_NS)
+        lines.append(f"{ago:.1f} s ago, {escape(event.words)}")
     return "<br>".join(lines) or "nothing yet"

@@ -61,7 +61,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
     plans = arm_plans(task, scene, options.arm, options.goals)
 
     def delivered(log: Log) -> int:
-        run = _run(scene, task, options, plans, log)
+        run = _run(scene, task, options, plans, log, arguments.view)
         for record in run.values():
             record.result |= {"complaints": remarks} if remarks else {}
         return deliver(run, folder)
@@ -71,8 +71,10 @@ def _simulate(arguments: argparse.Namespace) -> int:
     return _viewed(OfflineBag(folder / BAG, scene, task.name, plans, options.seed), folder, delivered)
 
 
-def _run(scene: Scene, task: Task, options: OfflineOptions, plans: list[ArmPlan], log: Log) -> Run:
-    """The run, with its progress on a terminal."""
+def _run(
+    scene: Scene, task: Task, options: OfflineOptions, plans: list[ArmPlan], log: Log, told: bool
+) -> Run:
+    """The run, with its progress: on a terminal, or where it is to be `told` anyway."""
     ends = {(plan.arm, goal.name): goal.goal.ends for plan in plans for goal in plan.goals}
     with Progress() as progress:
 
@@ -80,7 +82,8 @@ def _run(scene: Scene, task: Task, options: OfflineOptions, plans: list[ArmPlan]
             done, total = (command.progress, 1.0) if ends[arm, goal] else (0.0, None)
             progress.update(f"{arm} {goal}", done, total, state=command.phase)
 
-        return run_arms_offline(scene, task, options, show if progress.console.is_terminal else None, log)
+        told = told or progress.console.is_terminal
+        return run_arms_offline(scene, task, options, show if told else None, log)
 
 
 def _viewed(bag: OfflineBag, folder: Path, delivered: Callable[[Log], int]) -> int:

@@ -147,7 +147,8 @@ class Bag:
             gaps = [gap for gap in self.gaps if gap.topic == topic]
             span = min(gap.after_ns for gap in gaps), max(gap.before_ns for gap in gaps)
             places = f" ({len(gaps)} gaps)" if len(gaps) > 1 else ""
-            yield f"{topic}: {gap_text(lost, *span, of=lost + self.counts.get(topic, 0))}{places}"
+            count = self.counts.get(topic, 0)  # of none, nobody may have counted them
+            yield f"{topic}: {gap_text(lost, *span, of=lost + count if count else 0)}{places}"
 
     def add_topic(self, topic: str, type_name: str) -> None:
         """A topic of the bag, which may be announced more than once."""

@@ -45,6 +45,7 @@ def test_a_run_without_ros_is_on_the_page_and_stays_there_until_ctrl_c(tmp_path)
         assert viewer.sees("surface_following") and viewer.sees("follow")
         assert wait(lambda: len(np.unique(viewer.picture().reshape(-1, 3), axis=0)) > 100), "it is empty"
         assert wait(lambda: "stays on" in said.read_text()), said.read_text()
+        assert "arm ramp: follow" in said.read_text(), "how far the run is stands where no terminal is, too"
         assert wait(lambda: "still being written" not in viewer.text())
         viewer.page.get_by_role("tab", name="Phases").click()
         assert viewer.sees("phase: arm: done")
