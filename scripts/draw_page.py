@@ -3,7 +3,8 @@
 
     . scripts/env.sh; scripts/draw_page.py BAG [--out docs/images]
 
-BAG is a recording with images, as of `tactile demo --record-images`. Needs playwright and chromium.
+BAG is a recording with images in which nothing was lost, as of `tactile demo --record-images --rate 20`.
+Needs playwright, and chromium, which draws in software: beside it the graph runs at 20 Hz, too.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from playwright.sync_api import Error, sync_playwright
 
 SIZE = {"width": 1400, "height": 850}
 SOFTWARE = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
-STARTS = 60.0  # s, until an address is said
+STARTS, HALF_DONE = 60.0, 120.0  # s, until an address is said, and until the task is half done
+HALF = re.compile(r"follow, [456]\d %")
 
 
 @contextlib.contextmanager
@@ -48,8 +50,8 @@ def served(*command: str) -> Iterator[str]:
             process.wait()
 
 
-def picture(browser: Any, address: str, tab: str, seconds: float, out: Path) -> None:
-    """One picture of a page, so long after it was opened."""
+def picture(browser: Any, address: str, tab: str, out: Path) -> None:
+    """One picture of a page, with the task half done."""
     page = browser.new_page(viewport=SIZE)
     for attempt in range(20):
         try:
@@ -60,13 +62,13 @@ def picture(browser: Any, address: str, tab: str, seconds: float, out: Path) -> 
                 raise
             page.wait_for_timeout(1000)
     page.wait_for_selector("canvas")
-    page.wait_for_timeout(1e3 * seconds)
     close = page.locator(".mantine-Notification-closeButton")  # that it is drawn in software
     while close.count():
         close.first.click()
         page.wait_for_timeout(300)
     page.get_by_role("tab", name=tab).click()
-    page.wait_for_timeout(3000)
+    page.wait_for_timeout(3000)  # for what the tab holds
+    page.get_by_text(HALF).wait_for(timeout=1e3 * HALF_DONE)
     page.screenshot(path=out)
     page.close()
     print(out)
@@ -82,10 +84,10 @@ def main() -> None:
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=path, args=SOFTWARE)
         with served("view", given.bag, "--port", "0") as address:
-            picture(browser, address, "Touch", 9.0, given.out / "view_recording.png")
-        launch = ("launch", "surface_following", "--scene", "dome", "--headless", "--view")
+            picture(browser, address, "Touch", given.out / "view_recording.png")
+        launch = ("launch", "surface_following", "--scene", "dome", "--headless", "--view", "--rate", "20")
         with tempfile.TemporaryDirectory() as folder, served(*launch, "--out", folder) as address:
-            picture(browser, address, "Settings", 12.0, given.out / "view_live.png")
+            picture(browser, address, "Settings", given.out / "view_live.png")
 
 
 if __name__ == "__main__":
