@@ -51,4 +51,4 @@ def _key(kind: str, text: str) -> tuple[str, str]:
         return kind, text
     if kind in _COMPLAINTS:
         kind, text = _COMPLAINTS[0], text.replace("/", ".").lstrip(".")
-    return kind, re.sub(r"[\d.]+", "#", text)
+    return kind, re.sub(r"\b\d[\d.]*", "#", text)  # not those of names, as arm_2

@@ -37,6 +37,8 @@ def test_what_differs_in_numbers_alone_is_one_with_its_count_and_newest_text():
 def test_after_a_pause_it_is_told_anew_and_changes_are_each_their_own():
     again = [at(0.0, "warning", "a 1"), at(9.0, "warning", "a 2"), at(9.1, "refused", "a 2")]
     assert [event.times for event in repeats(again)] == [1, 1, 1]
+    others = [at(0.0, "arm", "arm_1: fault"), at(0.1, "arm", "arm_2: fault"), at(0.2, "arm", "arm3: fault")]
+    assert [event.text for event in repeats(others)] == [event.text for event in others]
     changes = [at(s, "parameter", f"/arm/controller task.speed = 0.0{s}") for s in range(5)]
     assert [event.text for event in repeats(changes)] == [event.text for event in changes]
 
