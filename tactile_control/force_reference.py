@@ -20,6 +20,7 @@ from tactile_base.stamps import NANOSECOND
 Array = NDArray[np.float64]
 _RATIO, _LONGEST = 2.0, 0.1  # a force is taken for no further off than by this factor; s between two beliefs
 _TINY = 1e-9
+_POWER = 1.6  # of the depth, with which a skin's force grows: Hertz 1.5, a real pad 1.75
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class ForceControlSettings(Settings):
         "with which it begins; 0: that depth holds",
     )  # fmt: skip
     rate: float = setting(
-        1.5, lower=0.01, upper=20.0, unit="1/s", doc="at which a depth that gives another force is corrected"
+        2.5, lower=0.01, upper=20.0, unit="1/s", doc="at which a depth that gives another force is corrected"
     )
     least_depth: float = setting(
         0.0008, lower=0.0, upper=0.01, unit="m", doc="least reference depth for the sake of a force"
@@ -96,7 +97,7 @@ class ForceReference:
         self._stamp_ns = max(stamp_ns, self._stamp_ns)
         if not hold:
             ratio = min(max(settings.normal / max(force, _TINY), 1.0 / _RATIO), _RATIO)
-            off = (ratio - 1.0) * max(depth, settings.least_depth)
+            off = (ratio ** (1.0 / _POWER) - 1.0) * max(depth, settings.least_depth)
             self.depth += (1.0 - math.exp(-settings.rate * seconds)) * off
         self.depth = min(max(self.depth, settings.least_depth), settings.most_depth)
         return self.depth
