@@ -20,7 +20,7 @@ from tactile_perception.markers.detection import detect, redrawn
 _THRESHOLD_METHODS = {"mean": cv2.ADAPTIVE_THRESH_MEAN_C, "gaussian": cv2.ADAPTIVE_THRESH_GAUSSIAN_C}
 NO_THRESHOLD = "none"
 _LUMA = np.array([0.114, 0.587, 0.299], np.float32)  # of blue, green and red (ITU-R BT.601)
-_MID_GRAY = 128.0  # of a difference, where nothing has changed
+MID_GRAY = 128.0  # of a difference, where nothing has changed
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ class Preprocessor:
             raise ImageError("image: there is none without contact that it could be compared with")
         if reference.shape != crop.shape:
             raise ImageError(f"image: has the shape {crop.shape}, the one without contact {reference.shape}")
-        return np.asarray(cv2.addWeighted(crop, gain, reference, -gain, _MID_GRAY), np.uint8)
+        return np.asarray(cv2.addWeighted(crop, gain, reference, -gain, MID_GRAY), np.uint8)
 
     def cropped(self, image: Image) -> Image:
         """The part that the settings want; an image of just that size has been cropped by its camera.

@@ -33,17 +33,23 @@ class Augmenter:
     """
 
     def __init__(
-        self, images: Image, depth: Array, crop_shape: tuple[int, int], settings: AugmentationSettings
+        self,
+        images: Image,
+        depth: Array,
+        crop_shape: tuple[int, int],
+        settings: AugmentationSettings,
+        dark: float = 0.0,
     ) -> None:
         """Find the markers' center; `AugmentationError` if they do not have the symmetry that settings name.
 
         Parameters
         ----------
-        images : uint8 (N, SCALE * size, SCALE * size)
+        images : uint8 (N, SCALE * size, SCALE * size[, 3])
         depth : (N,) of the contacts; the shallowest show the markers at rest
         crop_shape : (rows, columns) of the crop that the images were reduced from
+        dark : the level that no light changes; mid-gray in differences to the image without contact
         """
-        self.images, self.settings = images, settings
+        self.images, self.settings, self._dark = images, settings, np.float32(dark)
         self.size = images.shape[1] // SCALE
         self._geometry = CropGeometry(crop_shape, images.shape[1])
         self.center, self.correlation = self._find_center(depth)
@@ -52,9 +58,9 @@ class Augmenter:
     def __call__(
         self, chosen: NDArray[np.int64], rng: np.random.Generator
     ) -> tuple[Image, NDArray[np.int64]]:
-        """Images uint8 (n, size, size) of the samples `chosen` (n,), and how often each was turned (n,)."""
+        """Images uint8 (n, size, size[, 3]) of the samples `chosen` (n,), and the turns of each (n,)."""
         turns = rng.integers(0, self.settings.symmetry, len(chosen))
-        result = np.empty((len(chosen), self.size, self.size), np.uint8)
+        result = np.empty((len(chosen), self.size, self.size, *self.images.shape[3:]), np.uint8)
         for image, index, k in zip(result, chosen, turns, strict=True):
             changed = self._changed(self.images[index], int(k), rng)
             cv2.resize(changed, (self.size, self.size), dst=image, interpolation=cv2.INTER_AREA)
@@ -80,6 +86,9 @@ class Augmenter:
         if settings.growth and rng.random() < settings.growth:
             grown = (cv2.dilate if rng.random() < 0.5 else cv2.erode)(image, _KERNEL)
             image = np.asarray(grown, np.uint8)
+        if settings.gain:
+            factor = np.float32(np.exp(settings.gain * rng.standard_normal()))
+            image = np.clip(self._dark + factor * (image - self._dark), 0.0, 255.0).astype(np.uint8)
         return image
 
     def _find_center(self, depth: Array) -> tuple[Array, float]:

@@ -169,6 +169,11 @@ def check_samples(data: RunData, config: TrainConfig) -> None:
             f"augmentation.symmetry = {config.augmentation.symmetry}: turning a contact on a surface needs "
             f"all components of its label ({why}); give --set augmentation.symmetry=1"
         )
+    if data.preprocessing.color and config.augmentation.symmetry > 1:
+        raise SettingError(
+            f"augmentation.symmetry = {config.augmentation.symmetry}: an image in color, lit from several "
+            "sides, does not look the same after a turn; give --set augmentation.symmetry=1"
+        )
     if len(data.training) < _FEWEST_SAMPLES:
         raise DatasetError(f"training data: {len(data.training)} samples, needs at least {_FEWEST_SAMPLES}")
     held_out, needed = len(data.held_out), config.calibration.min_samples

@@ -211,6 +211,11 @@ class AugmentationSettings(Settings):
         upper=1.0,
         doc="probability that markers grow or shrink, as with brightness",
     )
+    gain: float = setting(
+        0.0, lower=0.0, upper=1.0,
+        doc="standard deviation of the logarithm of a factor on brightness: for images without a threshold, "
+        "whose levels are those of one day's light",
+    )  # fmt: skip
     plain_epochs: float = setting(0.0, lower=0.0, upper=10000.0, doc="last epochs without any of this")
 
     def __post_init__(self) -> None:
@@ -221,7 +226,7 @@ class AugmentationSettings(Settings):
     @property
     def active(self) -> bool:
         """Whether any image is changed."""
-        chances = (self.shift, self.turn, self.marker_dropout, self.growth)
+        chances = (self.shift, self.turn, self.marker_dropout, self.growth, self.gain)
         return self.symmetry > 1 or any(chance > 0.0 for chance in chances)
 
 

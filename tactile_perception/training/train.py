@@ -18,6 +18,7 @@ from tactile_perception.estimating.layout import Layout
 from tactile_perception.estimating.model_metadata import MODEL_NAME, ModelMetadata
 from tactile_perception.estimating.novelty import Novelty
 from tactile_perception.estimating.plain_depth import PlainDepth
+from tactile_perception.estimating.preprocessing import MID_GRAY
 from tactile_perception.evaluation.calibration import Calibration, fit_calibration
 from tactile_perception.training.augmentation import Augmenter
 from tactile_perception.training.config import TrainConfig
@@ -335,7 +336,8 @@ class _Run:
             self.axis = SymmetryAxis(settings.symmetry_axis, settings.symmetry, settings.symmetry_sense)
             self.axis.to(self.device)
         depth = data.model.depths(data.training.labels)
-        return Augmenter(data.large, depth, data.preprocessing.crop_shape, settings)
+        dark = MID_GRAY if data.preprocessing.difference else 0.0
+        return Augmenter(data.large, depth, data.preprocessing.crop_shape, settings, dark)
 
     def _input(self, images: Tensor) -> Tensor:
         """uint8 (N, size, size) or (N, size, size, 3) -> float (N, channels, size, size) in [0, 1]."""

@@ -1,5 +1,7 @@
 """Images without markers or in color: chain of steps, data folders, training, and what looks at images."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -246,7 +248,7 @@ def test_a_network_is_trained_on_colors_quantized_and_asked(tmp_path):
     from tactile_perception.estimating.estimator import Estimator
     from tactile_perception.training.config import TrainConfig
     from tactile_perception.training.quantization import quantize, training_images
-    from tactile_perception.training.settings import NetworkSettings, TrainingSettings
+    from tactile_perception.training.settings import AugmentationSettings, NetworkSettings, TrainingSettings
     from tactile_perception.training.train import train
 
     settings = COLOR.replaced(difference=2.0)
@@ -256,6 +258,9 @@ def test_a_network_is_trained_on_colors_quantized_and_asked(tmp_path):
         NetworkSettings(image_size=16, channels=(8, 16), batch_norm_momentum=0.2, head_gain=1.0),
         TrainingSettings(batch_size=8, rise_epochs=1, hold_epochs=10, decay_epochs=60, threads=1),
     )
+    turned = replace(config, augmentation=AugmentationSettings(symmetry=6))
+    with pytest.raises(SettingError, match="does not look the same after a turn"):
+        train(tmp_path / "data", tmp_path / "turned", turned)
     train(tmp_path / "data", tmp_path / "run", config)
     model = tmp_path / "run" / "model.onnx"
     estimator = Estimator(model)

@@ -153,3 +153,17 @@ def test_a_center_is_two_numbers_or_none():
     with pytest.raises(SettingError, match=r"must be \[\] or \[x, y\]"):
         AugmentationSettings(symmetry_center=(1.0, 2.0, 3.0))
     assert not AugmentationSettings().active and AugmentationSettings(symmetry=6).active
+
+
+@pytest.mark.parametrize("dark", [0.0, 128.0])
+def test_brightness_is_changed_by_a_factor_about_what_no_light_changes(dark):
+    """In color, too: each image by one factor, whose logarithm deviates as is said."""
+    image = np.full((1, 64, 64, 3), (dark + 20, dark + 40, dark + 60), np.uint8)
+    given = AugmentationSettings(gain=0.2)
+    make = Augmenter(image, np.zeros(1), (64, 64), given, dark)
+    batch, _ = make(np.zeros(400, np.int64), np.random.default_rng(0))
+    assert batch.shape == (400, 32, 32, 3)
+    factors = (batch[:, 5, 5].astype(float) - dark) / [20.0, 40.0, 60.0]
+    assert np.abs(factors[:, 2] - factors[:, 1]).max() < 0.05
+    assert np.log(factors[:, 2]).std() == pytest.approx(0.2, rel=0.1)
+    assert given.active
