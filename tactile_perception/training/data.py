@@ -144,6 +144,11 @@ def arrange(
         facts[_MODEL] = model.plain()
     if model.unknown:
         report.append(f"  {model.says_unknown()}")
+    if not (preprocessing.binary or config.augmentation.gain):
+        report.append(
+            "  note: images without a threshold have the levels of one day's light; augmentation.gain=0.15 "
+            "makes a network know others"
+        )
     return RunData(
         training=samples.taken(kept),
         held_out=samples.taken(held_out),
