@@ -66,7 +66,7 @@ NODES: dict[str, Part] = {
             topics.ROBOT_DESCRIPTION,
             *_FRAMES,
         ),
-        hears=(topics.COMMAND, topics.ESTOP, topics.STATE, *_FRAMES),
+        hears=(topics.COMMAND, topics.ESTOP, topics.STATE, topics.FORCE_BELIEF, *_FRAMES),
         hears_all=(topics.JOINT_STATES,),
         serves=("arm/estop", "arm/reset"),
     ),
@@ -95,6 +95,7 @@ NODES: dict[str, Part] = {
         hears=(
             topics.ARM_STATUS,
             topics.STATE,
+            topics.FORCE_BELIEF,
             topics.DIAGNOSTICS,
             topics.IMAGE,
             topics.compressed(topics.IMAGE),

@@ -125,7 +125,7 @@ def bytes_from_array(stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> 
         )
     height, width = image.shape[:2]
     head = _head(frame_id, image.size, encoding_of(image)).pack(
-        *split_stamp(stamp_ns), height, width, 0, image.size // height
+        *split_stamp(stamp_ns), height, width, 0, width * (3 if image.ndim == 3 else 1)
     )
     return b"".join((head, np.ascontiguousarray(image).data))
 

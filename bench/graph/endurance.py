@@ -3,9 +3,10 @@
 The same nodes do the task on the simulated ramp again and again, recorded; every ten seconds memory, threads
 and file descriptors of each process and the shared memory in use are read. The table has their means over
 each sixth of the time, and the latency from exposure to command over the same, from the bag. With `--client`
-a client of `tactile foxglove` takes all topics, and each second all nodes are asked for all parameters::
+a client of `tactile foxglove` takes all topics, and each second all nodes are asked for all parameters; with
+`--page` the page is open, drawn by nobody::
 
-    python bench/graph/endurance.py [--minutes 60] [--priority 0] [--client] [--out out/endurance]
+    python bench/graph/endurance.py [--minutes 60] [--priority 0] [--client] [--page] [--out out/endurance]
 """
 
 import contextlib
@@ -25,8 +26,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.extend(map(str, Path(__file__).resolve().parents[:2]))
 
+from looking import Viewer
 from shared import Table, parser, percentiles
 
 from tactile_bringup.launching.environment import free_domain_id
@@ -105,10 +107,10 @@ def ask_all(domain: int, bridge: subprocess.Popen[str], count: Counter[str]) -> 
                     count["parameters"] += len(operator.parameters(node))
 
 
-def client(domain: int, variables: dict[str, str], count: Counter[str]) -> subprocess.Popen[str]:
+def client(domain: int, count: Counter[str]) -> subprocess.Popen[str]:
     """Both of them beside this thread; returns the bridge, with which they end."""
     command = [*LAUNCH[:-1], "foxglove", "--port", "0"]
-    bridge = subprocess.Popen(command, stdout=subprocess.PIPE, env=variables, text=True)
+    bridge = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     address = re.search(r"ws://[\d.:]+", bridge.stdout.readline())[0]  # type: ignore
     threading.Thread(target=take_all, args=(address, count)).start()
     threading.Thread(target=ask_all, args=(domain, bridge, count)).start()
@@ -121,21 +123,23 @@ def main() -> int:
     given.add_argument("--minutes", type=float, default=60.0)
     given.add_argument("--priority", type=int, default=0, help="of the nodes, as in tactile launch")
     given.add_argument("--client", action="store_true", help="with a client and questions, see above")
+    given.add_argument("--page", action="store_true", help="with a page of `tactile view` open")
     given.add_argument("--out", type=Path, default=Path("out/endurance"))
     arguments = given.parse_args()
     folder = arguments.out.resolve()
     folder.mkdir(parents=True, exist_ok=False)
     run, bag, domain = folder / "run", folder / "bag", free_domain_id()
     # by ENDURANCE its processes are known again
-    variables = os.environ | {"ENDURANCE": str(folder), "ROS_DOMAIN_ID": str(domain)}
+    os.environ |= {"ENDURANCE": str(folder), "ROS_DOMAIN_ID": str(domain)}
     command = [*LAUNCH, *SCENE, "--nodes-only", "--out", str(run), "--record", str(bag)]
     command += ["--priority", str(arguments.priority)]
     samples, count = [], Counter[str]()
     end = time.monotonic() + 60 * arguments.minutes
     with (folder / "log").open("w") as log:
-        written: dict[str, Any] = {"stdout": log, "stderr": log, "env": variables}
+        written: dict[str, Any] = {"stdout": log, "stderr": log}
         launched = subprocess.Popen(command, **written)
-        bridge = client(domain, variables, count) if arguments.client else None
+        bridge = client(domain, count) if arguments.client else None
+        viewer = Viewer(1) if arguments.page else None
         doing = [*LAUNCH[:-1], "run", *SCENE]
         task = subprocess.Popen(doing, **written)
         while time.monotonic() < end and launched.poll() is None:
@@ -144,6 +148,8 @@ def main() -> int:
                 task = subprocess.Popen(doing, **written)
             time.sleep(PERIOD)
             samples.append(look(folder))
+        if viewer is not None:
+            count["percent of a core for the page"] = round(100 * viewer.close())
         for process in filter(None, (task, bridge, launched)):
             process.terminate()
             process.wait()

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from tactile_perception.estimating.image import Image, ImageError, decoded
 
 MONO8, BGR8 = "mono8", "bgr8"
+_AS_IT_IS = -1
 #: Encoding of sensor_msgs/Image -> bytes a pixel, the byte of a pixel that is its luma, and OpenCV's
 #: conversion to blue, green and red.
-_AS_IT_IS = -1
 _LUMA = {
     MONO8: (1, 0, cv2.COLOR_GRAY2BGR),
     "8UC1": (1, 0, cv2.COLOR_GRAY2BGR),

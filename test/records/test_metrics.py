@@ -169,8 +169,10 @@ def test_the_report_has_the_documented_names_and_no_others(tmp_path):
     record.force = ForceSeries(
         record.belief.stamp_ns, np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)), np.ones(n)
     )
+    record.settings = {"controller": {"force.normal": 2.0}}
     values = written(record, tmp_path / "report.json")
-    assert json.loads((tmp_path / "report.json").read_text()) == {**values, "settings": {}, "origin": {}}
+    read = json.loads((tmp_path / "report.json").read_text())
+    assert read == {**values, "settings": record.settings, "origin": {}}
     patterns = {name: re.compile(re.escape(name).replace(r"\*", "[a-z_0-9]+")) for name in REPORT_FIELDS}
     names = list(flattened(values))
     for name in names:

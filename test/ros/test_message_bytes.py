@@ -126,16 +126,17 @@ def test_numbers_are_found_by_the_name_of_their_field():
         reader.place("flag")
 
 
-@pytest.mark.parametrize("shape", [(3, 5), (480, 640), (0, 4)])
+@pytest.mark.parametrize("shape", [(3, 5), (480, 640), (0, 4), (3, 5, 3)])
 def test_the_bytes_of_an_image_are_those_of_its_message(shape):
     pixels = np.random.default_rng(5).integers(0, 255, shape, dtype=np.uint8)
     data = bytes_from_array(9, "sensor", pixels)
     message = deserialize_message(data, Image)
-    assert (message.height, message.width, message.step) == (*shape, shape[1])
-    assert (message.encoding, message.header.frame_id) == ("mono8", "sensor")
+    encoding, step = ("bgr8", 3 * shape[1]) if len(shape) == 3 else ("mono8", shape[1])
+    assert (message.height, message.width, message.step) == (*shape[:2], step)
+    assert (message.encoding, message.header.frame_id) == (encoding, "sensor")
     assert message.data.tobytes() == pixels.tobytes()
     for received in map(image_from_bytes, (data, serialize_message(message))):
-        assert (received.stamp_ns, received.height, received.width) == (9, *shape)
+        assert (received.stamp_ns, received.height, received.width) == (9, *shape[:2])
         assert received.pixels.tobytes() == pixels.tobytes()
 
 

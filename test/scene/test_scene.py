@@ -400,7 +400,11 @@ def test_a_carried_body_starts_where_the_tool_is(scene_file, other_package):
             "driver: bench",
             "unknown name 'bench' (did you mean 'bench_arm'?); valid: bench_arm, external, franka, sim",
         ),
-        ("camera: bench_camera", "camera: webcam", "valid: bench_camera, double_camera, external, replay"),
+        (
+            "camera: bench_camera",
+            "camera: webcam",
+            "valid: bench_camera, digit, double_camera, external, gelsight_mini, replay",
+        ),
         ("camera: bench_camera", "camera: sim", "'sim' needs an arm whose driver is 'sim' too"),
         ("driver: external", "driver_settings: {host: x}", "driver_settings: driver 'sim' has none"),
         (
