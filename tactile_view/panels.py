@@ -122,7 +122,8 @@ class TouchPanel:
         self._shown = 0
 
     def _draw(self, pixels: Array) -> None:
-        self._image.visible = True
+        if not self._image.visible:  # until there is one
+            self._image.visible = True
         if self.choice.value == MARKERS:
             self._image.image, words = marker_picture(gray(pixels))
             self._markers = f"{escape(words)}<br>"
