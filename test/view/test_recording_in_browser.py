@@ -1,5 +1,7 @@
 """A recording on the page in a real browser: the scene is drawn, the image moves, the time line seeks."""
 
+import itertools
+
 import numpy as np
 import pytest
 from browser import Viewer, chromium, wait
@@ -39,16 +41,20 @@ def still(viewer: Viewer) -> bool:
     return viewer.images() == before
 
 
-def test_pause_holds_it_and_a_frame_goes_back(viewer):
+def test_pause_holds_it_and_frames_are_stepped(viewer):
     if "paused" not in viewer.text():
         viewer.page.get_by_text("play / pause").click()
     assert viewer.sees("paused")
     assert wait(lambda: still(viewer)), "it goes on"
-    held = viewer.images()
+    held, clicks = viewer.images(), itertools.count()
 
     def stepped() -> bool:
-        """An image comes each six exposures, and clicks that follow fast are one for the page."""
-        viewer.page.get_by_text("◀ frame").click()  # back: on a slow machine it has come to its end
+        """An image comes each six exposures, and clicks that follow fast are one for the page.
+
+        Back, since on a slow machine it has come to its end; then on, since it may be at its first image.
+        """
+        viewer.page.get_by_text("◀ frame" if next(clicks) % 40 < 20 else "frame ▶").click()
+        viewer.page.wait_for_timeout(100)
         return viewer.images() != held
 
     assert wait(stepped)
