@@ -32,6 +32,7 @@ from tactile_records.bags.writer import BagWriter
 from tactile_records.messages import (
     arm_status_bytes,
     bytes_from_array,
+    force_bytes,
     pose_bytes,
     state_bytes,
     status_bytes,
@@ -164,11 +165,8 @@ class _ToldLog(RunLog):
     def force(self, stamp_ns: int, estimate: ForceGaussian, belief: ForceGaussian, nis: float) -> None:
         """What the network and the filter say of the force."""
         super().force(stamp_ns, estimate, belief, nis)
-        for topic, told, number in (
-            (topics.FORCE_ESTIMATE, estimate, np.nan), (topics.FORCE_BELIEF, belief, nis)
-        ):  # fmt: skip
-            numbers = *told.mean.tolist(), *told.cov.ravel().tolist(), number
-            self._tell(topic, stamp_ns, headed_bytes(topic.type, stamp_ns, self._sensor, *numbers))
+        self._tell(topics.FORCE_ESTIMATE, stamp_ns, force_bytes(stamp_ns, self._sensor, estimate))
+        self._tell(topics.FORCE_BELIEF, stamp_ns, force_bytes(stamp_ns, self._sensor, belief, nis))
 
     def command(self, now_ns: int, goal: int, command: Command) -> None:
         """What the controller does."""

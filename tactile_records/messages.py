@@ -12,6 +12,7 @@ from tactile_base import topics
 from tactile_base.stamps import SECOND_NS, parts_from_ns
 from tactile_control.phases import Command
 from tactile_filter.belief import Belief
+from tactile_filter.force import ForceGaussian
 from tactile_geometry import se3
 from tactile_perception.estimating.encodings import encoding_of
 from tactile_scene.arm import ArmState
@@ -115,6 +116,12 @@ def state_bytes(
         novelty,
         *latency,
     )
+
+
+def force_bytes(stamp_ns: int, frame_id: str, force: ForceGaussian, nis: float = math.nan) -> bytes:
+    """ContactForce of a force's Gaussian."""
+    numbers = *force.mean.tolist(), *force.cov.ravel().tolist(), nis
+    return headed_bytes(topics.FORCE_BELIEF.type, stamp_ns, frame_id, *numbers)
 
 
 def bytes_from_array(stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> bytes:

@@ -7,7 +7,6 @@ three copies: 1 ms of 3.5 for 640x480.
 from __future__ import annotations
 
 import functools
-import math
 import struct
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.serialization import serialize_message
 
 from tactile_base.stamps import SECOND_NS
-from tactile_filter.force import ForceGaussian
 from tactile_msgs.msg import ContactForce, ContactState
 from tactile_perception.estimating.encodings import decompressed
 from tactile_perception.estimating.image import ImageError
@@ -170,12 +168,6 @@ def headed_bytes(message_type: Any, stamp_ns: int, frame_id: str, *numbers: Numb
     return packing.headed_bytes(type_name(message_type), stamp_ns, frame_id, *numbers, **texts)
 
 
-def force_bytes(stamp_ns: int, frame_id: str, force: ForceGaussian, nis: float = math.nan) -> bytes:
-    """ContactForce of a force's Gaussian."""
-    numbers = *force.mean.tolist(), *force.cov.ravel().tolist(), nis
-    return headed_bytes(ContactForce, stamp_ns, frame_id, *numbers)
-
-
 @dataclass(frozen=True)
 class ReceivedCommand:
     """An ArmCommand; its twist (6,) may be NaN: that is for the safe command stage to refuse."""
@@ -219,5 +211,16 @@ _read_head = cdr.MessageReader(IMAGE, before=PIXELS)
 
 read_state = HeadedReader(ContactState)
 read_force = HeadedReader(ContactForce)
+
+
+def force_from_bytes(data: bytes) -> tuple[int, Array]:
+    """Stamp and force (3,) of a serialized ContactForce; `MessageError` for one that is not finite."""
+    stamp_ns, _, numbers = read_force(data)
+    force = np.array(numbers[:3])
+    if not np.isfinite(force).all():
+        raise MessageError("its force is not finite")
+    return stamp_ns, force
+
+
 """Stamp (ns), frame and numbers; xi and flags among them are at `STATE_XI` and `STATE_FLAGS`."""
 STATE_XI, STATE_FLAGS = read_state.place("xi"), read_state.place("flags").start

@@ -119,5 +119,5 @@ def _write(result: CheckResult, folder: Path) -> None:
 def _draw_inputs(result: CheckResult, path: Path) -> None:
     """What a network sees of some camera images; of processed ones that is to be seen in their folder."""
     folder = result.folder
-    if not folder.processed and (images := handful(folder.image_folder, folder.names)):
+    if not folder.processed and (images := handful(folder.image_folder, folder.names, folder.kind)):
         check_plots.draw_inputs(images, folder.preprocessing, path, folder.reference())

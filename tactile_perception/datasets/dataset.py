@@ -218,7 +218,7 @@ def open_folder(
 
     def some_images() -> tuple[list[Image], bool]:
         reference = layout.REFERENCE_NAME not in names and (image_folder / layout.REFERENCE_NAME).exists()
-        return handful(image_folder, names), reference
+        return handful(image_folder, names, kind), reference
 
     return TactileFolder(
         folder=folder,

@@ -130,9 +130,8 @@ class ImageKind(NamedTuple):
     channels: int
 
 
-def handful(image_folder: Path, names: list[str]) -> list[Image]:
-    """Some images spread over the names, of the size that most have: in color, or gray where they are."""
-    kind = common_kind(image_folder, names)
+def handful(image_folder: Path, names: list[str], kind: ImageKind | None) -> list[Image]:
+    """Some images spread over the names, of the `common_kind` that most have: in color, or gray."""
     found: list[Image] = []
     if kind is None:
         return found

@@ -53,7 +53,7 @@ from tactile_ros.message_bytes import (
     STATE_XI,
     Layout,
     command_from_bytes,
-    read_force,
+    force_from_bytes,
     read_state,
     twist_bytes,
 )
@@ -335,11 +335,7 @@ class ArmNode(ManagedNode):
 
     def _take_force(self, data: bytes) -> None:
         """And so does how hard it is pressed."""
-        stamp_ns, _, numbers = read_force(data)
-        force = np.array(numbers[:3])
-        if not np.isfinite(force).all():
-            raise MessageError("its force is not finite")
-        self.safe.take_force(stamp_ns, force)
+        self.safe.take_force(*force_from_bytes(data))
 
     def _on_estop(self, message: Bool) -> None:
         """An emergency stop of all arms; the topic cannot take it back."""

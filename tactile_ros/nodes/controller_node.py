@@ -39,7 +39,7 @@ from tactile_ros.colleagues import listen_to_partners
 from tactile_ros.image_input import ImageTopicSettings, PosedImages, subscribe_images
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import lost_counter
-from tactile_ros.message_bytes import STATE_FLAGS, STATE_XI, read_force, read_state
+from tactile_ros.message_bytes import STATE_FLAGS, STATE_XI, force_from_bytes, read_state
 from tactile_ros.parameters import GroupParameters, declare_read_only, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
@@ -150,10 +150,7 @@ class ControllerNode(TaskNode):
 
     def _take_force(self, data: bytes) -> None:
         """Keep the force; a step is made with the belief, which comes by another topic."""
-        stamp_ns, _, numbers = read_force(data)
-        if not np.isfinite(numbers[:3]).all():
-            raise MessageError("its force is not finite")
-        self.force = StampedForce(stamp_ns, np.array(numbers[:3]))
+        self.force = StampedForce(*force_from_bytes(data))
 
     # ---- steps ----
 

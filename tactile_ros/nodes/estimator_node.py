@@ -37,10 +37,11 @@ from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSett
 from tactile_perception.estimating.novelty import NoveltyDrift
 from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
+from tactile_records.messages import force_bytes
 from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode
-from tactile_ros.message_bytes import force_bytes, headed_bytes
+from tactile_ros.message_bytes import headed_bytes
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run

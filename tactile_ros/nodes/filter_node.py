@@ -29,10 +29,10 @@ from tactile_filter.force import ForceFilter, ForceGaussian, ForceSettings
 from tactile_geometry.gaussian import UNUSABLE, PoseGaussian
 from tactile_geometry.transform_buffer import MotionLimits, TransformUnavailable
 from tactile_msgs.msg import ContactForce, ContactPresence, ContactState
-from tactile_records.messages import state_bytes
+from tactile_records.messages import force_bytes, state_bytes
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter
-from tactile_ros.message_bytes import HeadedReader, force_bytes, read_force, read_gaussian
+from tactile_ros.message_bytes import HeadedReader, read_force, read_gaussian
 from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
