@@ -210,7 +210,11 @@ COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _read_head = cdr.MessageReader(IMAGE, before=PIXELS)
 
 read_state = HeadedReader(ContactState)
+"""Stamp (ns), frame and numbers; xi and flags among them are at `STATE_XI` and `STATE_FLAGS`."""
+STATE_XI, STATE_FLAGS = read_state.place("xi"), read_state.place("flags").start
+
 read_force = HeadedReader(ContactForce)
+"""Stamp (ns), frame and numbers: the force, its covariance, row by row, and the NIS."""
 
 
 def force_from_bytes(data: bytes) -> tuple[int, Array]:
@@ -220,7 +224,3 @@ def force_from_bytes(data: bytes) -> tuple[int, Array]:
     if not np.isfinite(force).all():
         raise MessageError("its force is not finite")
     return stamp_ns, force
-
-
-"""Stamp (ns), frame and numbers; xi and flags among them are at `STATE_XI` and `STATE_FLAGS`."""
-STATE_XI, STATE_FLAGS = read_state.place("xi"), read_state.place("flags").start
