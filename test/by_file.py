@@ -5,7 +5,7 @@ from xdist.workermanage import WorkerController
 
 
 class ByFile(LoadFileScheduling):
-    """`--dist loadfile`, which may wait forever once a process has died (issues 1327, 1378 of pytest-xdist 3.8).
+    """`--dist loadfile`, which may wait forever once a process has died (pytest-xdist 3.8, its issue 1378).
 
     There the test that it died of runs again, in the next process and the one after that; what the dead
     process had done is handed out once more, as files without a test, which nobody ever reports as done; and
