@@ -10,7 +10,7 @@ import pytest
 
 FILES = {
     "test_done.py": "def test_first(): pass\ndef test_second(): pass\ndef test_third(): pass\n",
-    "test_dies.py": "import os\ndef test_before(): pass\ndef test_end(): os._exit(1)\ndef test_last(): pass\n",
+    "test_dies.py": "import os\ndef test_before(): pass\ndef test_end(): os._exit(1)\ndef test_x(): pass\n",
     "test_alone.py": "def test_alone(): pass\n",
     "test_dies_alone.py": "import os\ndef test_end(): os._exit(1)\n",
     "test_last.py": "def test_last(): pass\n",
