@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Run pytest on what make installed: test.sh [ARGUMENT OF PYTEST...]. Without arguments the whole suite in a process per
-# core: what runs against the clock, and in as many, giving way to it, all the rest. With RETEST=1 up to eight tests against
+# core: what runs against the clock, and in as many, giving way to it, all the rest. With RETEST=1 up to sixteen tests against
 # the clock that fail beside others run once more, alone: a machine that somebody else holds up for a second is no defect.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -21,7 +21,7 @@ trap 'kill -- -$computing 2>/dev/null || true' EXIT
 "${suite[@]}" -m live --no-loadscope-reorder -o cache_dir=log/live || live=$?
 finish $computing || status=$?
 cat log/test.txt
-if [ "${RETEST:-0}" = 1 ] && [ $live = 1 ] && [ "$(grep -c '": true' log/live/v/cache/lastfailed)" -le 8 ]; then
+if [ "${RETEST:-0}" = 1 ] && [ $live = 1 ] && [ "$(grep -c '": true' log/live/v/cache/lastfailed)" -le 16 ]; then
     printf '\nFailed beside other tests, and run once more, alone:\n'
     live=0
     pytest -v -m live -o cache_dir=log/live --last-failed --last-failed-no-failures none || live=$?

@@ -31,6 +31,6 @@ def test_process_that_dies_costs_one_test(tmp_path: Path, root: Path, processes:
         env={name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
     )
     assert "2 failed, 7 passed" in result.stdout, result.stdout + result.stderr

@@ -227,7 +227,7 @@ class Fuzzed:
                 )
 
 
-@pytest.mark.timeout(180 + 3 * SECONDS)
+@pytest.mark.timeout(300 + 3 * SECONDS)
 def test_no_process_ends_and_no_limit_is_passed_whatever_is_sent_into_the_graph(graph, tmp_path):
     fuzzed = Fuzzed(graph, tmp_path)
     fuzzed.run(SECONDS / 3)
