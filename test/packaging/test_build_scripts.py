@@ -347,7 +347,7 @@ esac
 
 @pytest.mark.parametrize(
     "retest, failed, again, status, asked",
-    [("1", 1, 0, 0, True), ("1", 8, 1, 1, True), ("1", 9, 0, 1, False), ("0", 1, 0, 1, False)],
+    [("1", 1, 0, 0, True), ("1", 16, 1, 1, True), ("1", 17, 0, 1, False), ("0", 1, 0, 1, False)],
 )
 def test_few_tests_that_fail_beside_others_run_once_more_where_asked_for(
     scripts: Path, tmp_path: Path, retest: str, failed: int, again: int, status: int, asked: bool
