@@ -228,22 +228,26 @@ class Collector:
     ----------
     settings, seed
         What, with an index, determines a sample.
-    sensor
-        The sensor; its step is replaced by that of `settings`.
+    sensors
+        The sensors, which take turns; their step is replaced by that of `settings`.
     variation
         How the images differ from those of an exactly known sensor; None: not at all.
     """
 
     settings: CollectionSettings
     seed: int
-    sensor: TacTipSettings = field(default_factory=TacTipSettings)
+    sensors: tuple[TacTipSettings, ...] = (TacTipSettings(),)
     variation: VariationSettings | None = None
 
     def __call__(self, index: int) -> Sample:
         if getattr(_of_thread, "collector", None) is not self:
-            contact = self.sensor.contact.replaced(max_step=self.settings.max_step)
-            _of_thread.collector, _of_thread.sensor = self, TacTip(replace(self.sensor, contact=contact))
-        return collect(_of_thread.sensor, self.settings, self.seed, index, self.variation)
+            _of_thread.collector, _of_thread.sensors = self, {}
+        number = index % len(self.sensors)
+        if number not in _of_thread.sensors:
+            sensor = self.sensors[number]
+            contact = sensor.contact.replaced(max_step=self.settings.max_step)
+            _of_thread.sensors[number] = TacTip(replace(sensor, contact=contact))
+        return collect(_of_thread.sensors[number], self.settings, self.seed, index, self.variation)
 
 
 _of_thread = threading.local()  # a sensor has a history

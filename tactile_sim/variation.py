@@ -1,19 +1,21 @@
-"""How images of a real sensor differ from those of its model, drawn at random: for networks that learn from
-simulated images and are used on real ones.
+"""How real sensors differ from a model, drawn at random: for networks that learn from simulated images and
+are used on real ones.
 
-A camera that sits a little elsewhere, a skin that deforms a little differently, markers of another size, and
-reflections beside them. All of it is done to the image, so that it costs one look-up per pixel.
+From image to image: a camera that sits a little elsewhere, a skin that deforms a little differently, markers
+of another size, and reflections beside them. All of it is done to the image, so that it costs one look-up per
+pixel. And other sensors of the same kind: other gel, pins and lens.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
+from tactile_scene.simulated_sensors import TacTipSettings
 
 Image = NDArray[np.uint8]
 _FULL_DEPTH = 3e-3  # m, from which the skin's field has its full size
@@ -104,3 +106,30 @@ def _with_reflections(image: Image, settings: VariationSettings, rng: np.random.
         gray = int(rng.integers(60, 255))
         cv2.ellipse(image, center, axes, float(np.degrees(angle) + 90.0), 0, 360, gray, -1, cv2.LINE_AA)
     return image
+
+
+#: Standard deviations of the logarithms of what differs between sensors of one kind, by group and name.
+_SPREAD = {
+    "skin": {"stiffness_ratio": 0.5, "poisson_ratio": 0.3},
+    "markers": {"pitch_deg": 0.04, "pin_length": 0.3},
+    "camera": {"focal_length": 0.04, "distance": 0.04, "marker_radius": 0.15},
+}
+_CENTER = 4.0  # px, standard deviation of where the optical axis is
+
+
+def other_sensors(sensor: TacTipSettings, count: int, seed: int) -> tuple[TacTipSettings, ...]:
+    """`count` sensors of the kind of `sensor`, with other gel, pins and lens; the first is itself."""
+    rng = np.random.default_rng([seed, count])
+    return (sensor, *(_other_sensor(sensor, rng) for _ in range(count - 1)))
+
+
+def _other_sensor(sensor: TacTipSettings, rng: np.random.Generator) -> TacTipSettings:
+    groups = {}
+    for name, spread in _SPREAD.items():
+        group = getattr(sensor, name)
+        changes = {key: getattr(group, key) * np.exp(sigma * rng.normal()) for key, sigma in spread.items()}
+        groups[name] = group.replaced(**changes)
+    camera = groups["camera"]
+    column, row = np.array([camera.center_column, camera.center_row]) + rng.normal(0.0, _CENTER, 2)
+    groups["camera"] = camera.replaced(center_column=column, center_row=row)
+    return replace(sensor, **groups)

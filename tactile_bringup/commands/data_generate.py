@@ -26,6 +26,7 @@ from tactile_bringup.commands.changes import (
     add_set_option,
     changed_settings,
     natural_int,
+    positive_int,
     workers_of,
 )
 from tactile_perception.datasets.layout import FORCE_COLUMNS
@@ -35,6 +36,7 @@ from tactile_records.collecting.parameters import check_same_run
 from tactile_scene.sampling import VALIDATION_START
 from tactile_sim.collection import CollectionSettings, Collector, SensorFile, load_sensor
 from tactile_sim.tactip import TacTip
+from tactile_sim.variation import other_sensors
 
 
 def register(commands: Any) -> None:
@@ -47,6 +49,8 @@ def register(commands: Any) -> None:
     add("--seed", type=natural_int, default=0)
     add_job_options(parser)
     add("--sensor", metavar="NAME", help="one of config/sensors, or a file (default: the built-in sensor)")
+    text = "take turns with N - 1 more of its kind, of other gel, pins and lens: for a start on other sensors"
+    add("--sensors", type=positive_int, default=1, metavar="N", help=text)
     add("--config", type=Path, help="YAML file with collection settings (SI)")
     add_set_option(parser, "change one of them")
 
@@ -100,6 +104,8 @@ def _generate_split(
     parameters["sensor"] = dataclasses.asdict(sensor.sensor)
     if sensor.variation is not None:
         parameters["variation"] = dataclasses.asdict(sensor.variation)
+    if arguments.sensors > 1:
+        parameters["sensors"] = arguments.sensors
     if preprocessing != PreprocessingSettings():
         parameters["preprocessing"] = dataclasses.asdict(preprocessing)
     check_same_run(folder, parameters)
@@ -108,7 +114,8 @@ def _generate_split(
         missing = sorted(set(range(1, count + 1)) - writer.done)
         if preprocessing.difference:
             writer.add_image(0, TacTip(sensor.sensor, arguments.seed).image())
-        collector = Collector(settings, arguments.seed, sensor.sensor, sensor.variation)
+        sensors = other_sensors(sensor.sensor, arguments.sensors, arguments.seed)
+        collector = Collector(settings, arguments.seed, sensors, sensor.variation)
         work = ProcessedSample(collector, preprocessing, start)
         with Progress(console) as progress:
             samples = run_jobs(work, missing, workers_of(arguments), progress.say)

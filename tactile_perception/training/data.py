@@ -85,6 +85,16 @@ class RunData:
     start: Start | None = None
     reference: Image | None = None
 
+    def started(self, start: Start | None) -> RunData:
+        """With the network to start from; `SettingError` if it takes images of other colors."""
+        if start is None:
+            return self
+        start.check_channels(self.preprocessing.channels)
+        if start.facts.get(_MODEL) != self.facts.get(_MODEL):
+            start = start.without_head()
+        # what the start has learned from, the new network will have seen as well
+        return dataclasses.replace(self, start=start, facts={**self.facts, "start": start.facts})
+
 
 def load_data(
     data_dir: Path,
@@ -109,14 +119,7 @@ def load_data(
             f"{train_dir} and {validation_dir} were pre-processed differently: the first has "
             f"{preprocessing.differences(validation.preprocessing)}"
         )
-    data = arrange(training, validation, config, preprocessing)
-    if start is None:
-        return data
-    start.check_channels(preprocessing.channels)
-    if start.facts.get(_MODEL) != data.facts.get(_MODEL):
-        start = start.without_head()
-    # what the start has learned from, the new network will have seen as well
-    return dataclasses.replace(data, start=start, facts={**data.facts, "start": start.facts})
+    return arrange(training, validation, config, preprocessing).started(start)
 
 
 def arrange(

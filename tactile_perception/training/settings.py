@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from tactile_base.settings import LARGEST_SEED, SettingError, Settings, setting
 
 HEADS = ("mse", "gaussian", "full_gaussian", "mixture")
+FROZEN = ("nothing", "convolutions", "base")
 
 
 @dataclass(frozen=True)
@@ -143,6 +144,15 @@ class TrainingSettings(Settings):
         "",
         doc="folder of a finished run, as one on simulated images, to start from its network; '': random",
     )
+    frozen: str = setting(
+        "nothing", choices=FROZEN,
+        doc="what stays as it was in the start: nothing; convolutions: normalization and head learn; "
+        "base: only the head learns",
+    )  # fmt: skip
+    least_steps: int = setting(
+        0, lower=0, upper=10**7,
+        doc="steps of the whole schedule at least: an epoch of few samples shows each of them several times",
+    )  # fmt: skip
     seed: int = setting(
         0, lower=0, upper=LARGEST_SEED, doc="seed of weights, shuffling, dropout and augmentation"
     )
@@ -160,6 +170,8 @@ class TrainingSettings(Settings):
         super().__post_init__()
         if self.epochs < 1:
             raise SettingError("rise_epochs + hold_epochs + decay_epochs: must come to at least one epoch")
+        if self.frozen != FROZEN[0] and not self.start:
+            raise SettingError(f"frozen = {self.frozen}: needs the network of another run to start from")
 
     @property
     def epochs(self) -> int:
@@ -175,7 +187,7 @@ class AugmentationSettings(Settings):
     """
 
     symmetry: int = setting(
-        1, lower=1, upper=12, doc="turn by a random multiple of 1/n of a circle; the TacTip's markers: 6"
+        1, lower=1, upper=360, doc="turn by a random multiple of 1/n of a circle; the TacTip's markers: 6"
     )
     symmetry_center: tuple[float, ...] = setting(
         (), unit="px", lower=0.0, upper=8192.0,

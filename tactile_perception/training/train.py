@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+import math
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from tactile_perception.estimating.layout import Layout
 from tactile_perception.estimating.model_metadata import MODEL_NAME, ModelMetadata
@@ -151,12 +152,14 @@ class _Run:
         self.optimizer = self._optimizer()
         self.average = WeightAverage(self.network, settings.average_decay)
         # A last batch of one sample would leave batch normalization without a variance.
-        self.steps_per_epoch = max(1, len(data.training) // settings.batch_size)
+        self.steps_per_pass = max(1, len(data.training) // settings.batch_size)
+        self.passes = max(1, math.ceil(settings.least_steps / (settings.epochs * self.steps_per_pass)))
+        self.steps_per_epoch = self.passes * self.steps_per_pass
 
     def epoch(
         self, number: int, best: Epoch | None, progress: TrainingProgress, remaining: TimeLeft
     ) -> tuple[Epoch, dict[str, Tensor]]:
-        """One pass over the training data and a validation; the epoch and the validated weights."""
+        """Training data, each sample once or more often, and a validation; epoch and validated weights."""
         started = time.monotonic()
         train_loss = self._train_epoch(number, progress, remaining)
         trained = time.monotonic()
@@ -178,14 +181,18 @@ class _Run:
         torch.manual_seed(int(np.random.SeedSequence([settings.seed, number]).generate_state(1)[0]))
         rng = np.random.default_rng([settings.seed, number])
         self.network.train()
-        order = rng.permutation(len(self.images))
+        if settings.frozen == "base":
+            self.network.base.eval()  # statistics of its normalization, too
         total = 0.0
         before = time.monotonic()
         for step in range(self.steps_per_epoch):
             moment = number + step / self.steps_per_epoch
             for group in self.optimizer.param_groups:
                 group["lr"] = learning_rate(moment, settings) * group["factor"]
-            chosen = order[step * settings.batch_size : (step + 1) * settings.batch_size]
+            within = step % self.steps_per_pass
+            if within == 0:
+                order = rng.permutation(len(self.images))
+            chosen = order[within * settings.batch_size : (within + 1) * settings.batch_size]
             loss = self._loss(*self._batch(chosen, moment, rng))
             self.optimizer.zero_grad(set_to_none=True)
             loss.backward()
@@ -322,7 +329,12 @@ class _Run:
         return _History(epochs, best, state["stopped"])
 
     def _optimizer(self) -> torch.optim.Adam:
-        groups = [{"params": list(self.network.parameters()), "factor": 1.0}]
+        learning = {"nothing": nn.Module, "convolutions": nn.BatchNorm2d, "base": ()}
+        for module in self.network.base.modules():
+            for parameter in module.parameters(recurse=False):
+                parameter.requires_grad_(isinstance(module, learning[self.config.training.frozen]))
+        parameters = [value for value in self.network.parameters() if value.requires_grad]
+        groups = [{"params": parameters, "factor": 1.0}]
         axis_rate = self.config.augmentation.symmetry_axis_rate
         if self.axis is not None and axis_rate > 0.0:
             groups.append({"params": [self.axis.values], "factor": axis_rate})

@@ -234,6 +234,38 @@ def test_a_start_that_does_not_fit_is_refused(run, training_data, tmp_path, star
         train(training_data, tmp_path / "b", config.replaced(network__channels=(8, 16, 16, 16)))
 
 
+@pytest.mark.parametrize("frozen", ["convolutions", "base"])
+def test_what_is_frozen_stays_as_in_the_start_and_the_rest_learns(frozen, run, training_data, tmp_path):
+    config = short(start=str(run[1]), frozen=frozen)
+    train(training_data, tmp_path / "run", config)
+    before, after = RunFolder(run[1]).load_best(), RunFolder(tmp_path / "run").load_best()
+    same = {name for name in before if torch.equal(before[name], after[name])}
+    assert {"base.0.0.weight", "base.1.0.weight", "base.2.0.weight", "base.3.0.weight"} <= same
+    assert ({"base.0.1.weight", "base.0.1.running_mean"} <= same) is (frozen == "base")
+    assert "head.weight" not in same
+
+
+def test_nothing_is_frozen_of_random_weights():
+    with pytest.raises(SettingError, match="frozen = base: needs the network of another run"):
+        TrainingSettings(frozen="base")
+
+
+def test_few_samples_are_shown_as_often_as_a_schedule_needs(training_data, tmp_path):
+    class Steps(TrainingProgress):
+        count = 0
+
+        def step(self, *_) -> None:
+            self.count += 1
+
+    counts = []
+    for least in (0, 3, 11):
+        progress = Steps()
+        config = short(least_steps=least, batch_size=16)
+        train(training_data, tmp_path / str(least), config, limit=40, progress=progress)
+        counts.append(progress.count)
+    assert counts == [4, 4, 12]  # two epochs of two batches, and thrice as many
+
+
 def test_the_shipped_start_fits_the_configuration_that_it_is_for():
     start, real = (
         TrainConfig.from_file(CONFIGS / name) for name in ("gdn_simulated_start.yaml", "gdn_symmetry.yaml")

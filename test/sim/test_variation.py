@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from tactile_perception.markers.detection import detect
+from tactile_scene.simulated_sensors import TacTipSettings
 from tactile_sim.collection import press_then_shear
 from tactile_sim.tactip import TacTip
-from tactile_sim.variation import VariationSettings, varied
+from tactile_sim.variation import VariationSettings, other_sensors, varied
 
 DEEP, SHALLOW = 4e-3, 0.0
 NOTHING = VariationSettings(
@@ -88,3 +89,21 @@ def test_reflections_lie_outside_the_markers_circle(image):
     rows, columns = np.nonzero(changed)
     distance = np.hypot(columns - image.shape[1] / 2, rows - image.shape[0] / 2)
     assert len(distance) > 500 and distance.min() > settings.reflection_radius[0] - 20
+
+
+def test_other_sensors_differ_in_gel_pins_and_lens_and_a_seed_tells_which():
+    own, *others = other_sensors(TacTipSettings(), 4, seed=3)
+    assert own == TacTipSettings() and len({own, *others}) == 4
+    assert (own, *others) == other_sensors(TacTipSettings(), 4, seed=3)
+    assert others[0] != other_sensors(TacTipSettings(), 4, seed=4)[1]
+    for other in others:
+        assert other.skin.stiffness_ratio != own.skin.stiffness_ratio
+        assert other.camera.rotation_deg == own.camera.rotation_deg
+        assert other.markers.pitch_deg == pytest.approx(own.markers.pitch_deg, rel=0.2)
+
+
+def test_images_of_other_sensors_show_other_pins():
+    own, other = (TacTip(settings, seed=2) for settings in other_sensors(TacTipSettings(), 2, seed=3))
+    at_rest = [detect(sensor.image()).centers for sensor in (own, other)]
+    spread = [np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean() for centers in at_rest]
+    assert abs(spread[1] / spread[0] - 1.0) > 0.01
