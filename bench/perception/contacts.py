@@ -1,0 +1,217 @@
+"""Errors of a network by the number of labelled contacts it was trained on, from several starts.
+
+    python bench/perception/contacts.py DATA [--start sim=RUN sim=RUN:base] [--sizes 25 100] [--jobs 2]
+
+A fifth of DATA (of the part for training where it has parts) is held out to measure on. Of the rest the
+first N of a random order are taken, and a fifth of these chooses the epoch and calibrates. A start is the
+folder of a finished run of `tactile train`, and of its network `base` or `convolutions` stay as they are
+where that is added (training.frozen); without --start networks start from random weights. --vary names
+settings of one more network. Rows that are done stay in OUT/rows.jsonl. Needs PyTorch (`scripts/setup.sh
+train`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import pickle
+import shutil
+import sys
+import time
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+sys.path.extend(map(str, Path(__file__).resolve().parents[:2]))
+
+from shared import Table, needs, parser
+
+from tactile_base.config_paths import config_path
+from tactile_base.jobs import JobRows, Workers, run_jobs
+from tactile_perception.datasets.dataset import TactileDataset, read_dataset, training_part
+from tactile_perception.estimating.estimator import Estimator
+from tactile_perception.evaluation.calibration import CalibrationSettings, fit_calibration
+from tactile_perception.evaluation.models import predict_all
+
+HELD_OUT = 5
+SIZES = (25, 50, 100, 200, 500, 1000, 2000, 6000)
+FEWEST = 20  # samples to calibrate on
+RANDOM = "random"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One training run."""
+
+    data: str
+    size: int
+    start: str
+    seed: int
+    sections: dict[str, Any]
+    run: str
+
+    @property
+    def name(self) -> str:
+        return f"{Path(self.data).stem} {self.start} {self.size} {self.seed}"
+
+
+@cache
+def dataset(path: str) -> TactileDataset:
+    """What `stored` left."""
+    data, images = pickle.loads(Path(path).read_bytes())
+    return dataclasses.replace(data, images=np.array([cv2.imdecode(image, -1) for image in images]))
+
+
+def stored(folder: Path, out: Path, size: int) -> Path:
+    """A data set in one file, at `size` pixels: many jobs read it."""
+    path = out / f"{folder.name}.pkl"
+    if not path.exists():
+        data = read_dataset(training_part(folder), changes={"size": size}, complete=False)
+        images = [cv2.imencode(".png", image)[1] for image in data.images]
+        path.write_bytes(pickle.dumps((dataclasses.replace(data, images=np.empty(0)), images)))
+    return path
+
+
+def taken(data: TactileDataset, rows: np.ndarray, size: int) -> TactileDataset:
+    """Some samples, at `size` pixels."""
+    images = [
+        cv2.resize(image, (size, size), interpolation=cv2.INTER_AREA) if size != len(image) else image
+        for image in data.images[rows]
+    ]
+    return dataclasses.replace(
+        data,
+        names=[data.names[row] for row in rows],
+        images=np.array(images),
+        euler_mm_deg=data.euler_mm_deg[rows],
+        force=data.force[rows],
+    )
+
+
+def parts(count: int, size: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows to train on, to choose the epoch on, and to measure on."""
+    test = np.arange(0, count, HELD_OUT)
+    pool = np.random.default_rng(seed).permutation(np.setdiff1d(np.arange(count), test))[:size]
+    return pool[len(pool) // HELD_OUT :], pool[: len(pool) // HELD_OUT], test
+
+
+def trained(job: Job) -> dict[str, Any]:
+    """A row: errors and coverage on what was held out; the network is calibrated on what chose its epoch."""
+    from tactile_perception.training.augmentation import SCALE
+    from tactile_perception.training.config import TrainConfig
+    from tactile_perception.training.data import arrange, load_start
+    from tactile_perception.training.progress import TrainingProgress
+    from tactile_perception.training.run_folder import RunFolder
+    from tactile_perception.training.train import train_network
+
+    started = time.monotonic()
+    config, data = TrainConfig.from_mapping(job.sections), dataset(job.data)
+    learning, choosing, test = parts(len(data), job.size, job.seed)
+    size = config.network.image_size
+    preprocessing = data.preprocessing.replaced(size=size)
+    large = SCALE * size if config.augmentation.active else size
+    ready = arrange(taken(data, learning, large), taken(data, choosing, size), config, preprocessing)
+    if config.training.start:
+        ready = ready.started(load_start(config.training.start, config.network))
+    shutil.rmtree(job.run, ignore_errors=True)
+    result = train_network(ready, RunFolder(job.run), config, TrainingProgress())
+    estimator = Estimator(result.model_path)
+    model = ready.model
+
+    def answers(rows: np.ndarray) -> tuple[np.ndarray, ...]:
+        samples = taken(data, rows, size)
+        labels = samples.labels_for(model)
+        mean, cov = predict_all(estimator, samples.images)
+        return labels, mean, cov, model.error(mean, labels)
+
+    labels, mean, cov, error = answers(test)
+    if len(choosing) >= FEWEST:
+        known, *others, off = answers(choosing)
+        settings = CalibrationSettings(min_samples=FEWEST)
+        cov = fit_calibration(known, *others, settings, off).covariance(mean, cov)
+    within = error**2 <= 1.96**2 * np.diagonal(cov, axis1=1, axis2=2)
+    return {
+        "name": job.name,
+        "data": Path(job.data).stem,
+        "start": job.start,
+        "size": len(learning) + len(choosing),
+        "seed": job.seed,
+        "components": list(model.columns),
+        "mae": np.abs(error).mean(axis=0).tolist(),
+        "guess": np.abs(labels - np.median(labels, axis=0)).mean(axis=0).tolist(),
+        "within 95 %": (100.0 * within.mean(axis=0)).tolist(),
+        "epoch": result.best.number + 1,
+        "seconds": time.monotonic() - started,
+    }
+
+
+def job_of(
+    given: argparse.Namespace, data: Path, size: int, start: str, changes: list[str], seed: int
+) -> Job:
+    """The training of a cell of the table."""
+    from tactile_perception.training.config import TrainConfig
+
+    config = TrainConfig.from_file(given.config)
+    name, _, run = start.partition("=")
+    run, _, frozen = run.partition(":")
+    if run:
+        config = config.replaced(
+            training__start=str(Path(run).absolute()), training__frozen=frozen or "nothing"
+        )
+        name += f":{frozen}" if frozen else ""
+    name += "".join(f" {change}" for change in changes)
+    config = config.changed([*given.set, *changes, f"training.seed={seed}", "training.holdback=0"])
+    folder = given.out.absolute() / f"{data.stem} {name} {size} {seed}".replace("/", "_")
+    return Job(str(data.absolute()), size, name, seed, config.plain(), str(folder))
+
+
+def main() -> None:
+    """Train what is missing and print all rows."""
+    arguments = parser(__doc__ or "")
+    add = arguments.add_argument
+    add("data", type=Path, nargs="+")
+    add("--out", type=Path, default=Path("out/contacts"))
+    add("--config", type=Path, default=config_path("perception/gdn_symmetry.yaml"))
+    add("--set", nargs="*", default=[], metavar="SECTION.NAME=VALUE", help="of all networks")
+    add("--start", nargs="*", default=[RANDOM], metavar="NAME=RUN", help="also NAME=RUN:base, and `random`")
+    add("--vary", nargs="*", action="append", metavar="SECTION.NAME=VALUE", help="of a further network each")
+    add("--sizes", type=int, nargs="*", default=SIZES)
+    add("--seeds", type=int, default=1)
+    add("--jobs", type=int, default=1)
+    given = arguments.parse_args()
+    needs("scripts/setup.sh train", "torch", "onnx")
+    given.out.mkdir(parents=True, exist_ok=True)
+    data = [folder if folder.suffix == ".pkl" else stored(folder, given.out, 128) for folder in given.data]
+    jobs = [
+        job_of(given, path, size, start, changes, seed)
+        for seed in range(given.seeds)
+        for size in sorted(given.sizes, reverse=True)
+        for path in data
+        for changes in given.vary or [[]]
+        for start in given.start
+    ]
+    rows = JobRows(given.out / "rows.jsonl")
+    for done in run_jobs(trained, rows.missing(jobs), Workers(given.jobs), print):
+        print(done.job.name, done.error or "", flush=True)
+        if done.value is not None:
+            rows.add(done.value)
+    found = rows.of(jobs)
+    table = Table(
+        ("data", "start", "contacts", "seed", "errors (mm, deg, N)", "of a guess", "within 95 %"), "one run"
+    )
+    for row in found:
+        units = [180.0 / np.pi if name.endswith("_rad") else 1.0 for name in row["components"]]
+        errors, guess = (
+            ", ".join(f"{k * v:.3g}" for k, v in zip(units, row[key], strict=True))
+            for key in ("mae", "guess")
+        )
+        covered = row["within 95 %"]
+        bands = f"{min(covered):.0f} to {max(covered):.0f} %"
+        table.row(row["data"], row["start"], str(row["size"]), str(row["seed"]), errors, guess, bands)
+
+
+if __name__ == "__main__":
+    main()
