@@ -214,4 +214,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    import contacts  # jobs are sent to other processes, which know them by this name
+
+    contacts.main()
