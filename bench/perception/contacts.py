@@ -34,6 +34,7 @@ from tactile_base.config_paths import config_path
 from tactile_base.jobs import JobRows, Workers, run_jobs
 from tactile_perception.datasets.dataset import TactileDataset, read_dataset, training_part
 from tactile_perception.estimating.estimator import Estimator
+from tactile_perception.estimating.plots import log_axis, plot_grid
 from tactile_perception.evaluation.calibration import CalibrationSettings, fit_calibration
 from tactile_perception.evaluation.models import predict_all
 
@@ -168,8 +169,42 @@ def job_of(
     return Job(str(data.absolute()), size, name, seed, config.plain(), str(folder))
 
 
+#: Panels of the figure: what is shown, unit, and which columns it is the mean of.
+PANELS = (
+    ("depth", "mm", [2]), ("tilt", "deg", [3, 4]), ("shear", "mm", [0, 1]), ("twist", "deg", [5]),
+)  # fmt: skip
+
+
+def scaled(row: dict[str, Any], key: str) -> np.ndarray:
+    """Errors in mm, degrees and N."""
+    units = [180.0 / np.pi if name.endswith("_rad") else 1.0 for name in row["components"]]
+    return np.array(units) * row[key]
+
+
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Errors against contacts, a row of panels for each data set and a line for each start; gray: a guess."""
+    names = list(dict.fromkeys(row["data"] for row in rows))
+    starts = list(dict.fromkeys(row["start"] for row in rows))
+    figure, grid = plot_grid(len(names), len(PANELS), 2.4)
+    for name, panels in zip(names, grid, strict=True):
+        for axes, (what, unit, columns) in zip(panels, PANELS, strict=True):
+            for number, start in enumerate(starts):
+                own = [row for row in rows if row["data"] == name and row["start"] == start]
+                own.sort(key=lambda row: row["size"])
+                errors = [scaled(row, "mae")[columns].mean() for row in own]
+                if own:
+                    axes.plot([row["size"] for row in own], errors, "o-", color=f"C{number}", label=start)
+                    axes.axhline(scaled(own[0], "guess")[columns].mean(), color="0.7", zorder=0)
+            log_axis(axes, "x")
+            log_axis(axes, "y")
+            axes.set(xlabel="contacts", ylabel=f"{what} ({unit})", title=name)
+            axes.grid(alpha=0.3)
+        panels[0].legend(loc="lower left", fontsize="small")
+    figure.savefig(path, dpi=110)
+
+
 def main() -> None:
-    """Train what is missing and print all rows."""
+    """Train what is missing, print all rows and draw them."""
     arguments = parser(__doc__ or "")
     add = arguments.add_argument
     add("data", type=Path, nargs="+")
@@ -203,14 +238,12 @@ def main() -> None:
         ("data", "start", "contacts", "seed", "errors (mm, deg, N)", "of a guess", "within 95 %"), "one run"
     )
     for row in found:
-        units = [180.0 / np.pi if name.endswith("_rad") else 1.0 for name in row["components"]]
-        errors, guess = (
-            ", ".join(f"{k * v:.3g}" for k, v in zip(units, row[key], strict=True))
-            for key in ("mae", "guess")
-        )
+        errors, guess = (", ".join(f"{v:.3g}" for v in scaled(row, key)) for key in ("mae", "guess"))
         covered = row["within 95 %"]
         bands = f"{min(covered):.0f} to {max(covered):.0f} %"
         table.row(row["data"], row["start"], str(row["size"]), str(row["seed"]), errors, guess, bands)
+    if found:
+        draw(found, given.out / "contacts.png")
 
 
 if __name__ == "__main__":
