@@ -32,7 +32,7 @@ def register(subparsers: Any) -> None:
     parser = add_command(subparsers, "train", run_train, status=1, wrong=(FloatingPointError,))
     add = parser.add_argument
     add("data", type=Path, help="data folder, or a folder with train/ and val/ in it")
-    add("--val", type=Path, help="validation data folder (default: DATA/val)")
+    add("--val", type=Path, help="validation data folder (default: DATA/val, or what is held back)")
     add("--out", type=Path, required=True, help="new folder for the run")
     choice = parser.add_mutually_exclusive_group()
     text = "YAML file with the sections network, training and augmentation"

@@ -104,7 +104,7 @@ def load_data(
     progress: Callable[[int, int], None] | None = None,
 ) -> RunData:
     """Read the folders; `DatasetError` if they cannot be used or do not fit together."""
-    train_dir, validation_dir = data_folders(data_dir, validation_dir)
+    train_dir, validation_dir = data_folders(data_dir, validation_dir, config)
     network, run = config.network, config.training.start
     start = load_start(run, network) if run else None  # before the images: it may be refused
     CONTACT_MODELS.load(config.training.model)
@@ -112,9 +112,11 @@ def load_data(
     scale = SCALE if config.augmentation.active else 1
     large = {**changes, "size": scale * network.image_size}
     training = read_dataset(train_dir, changes=large, limit=limit, progress=progress, complete=False)
-    validation = read_dataset(validation_dir, changes=changes, progress=progress, complete=False)
+    validation = None
+    if validation_dir is not None:
+        validation = read_dataset(validation_dir, changes=changes, progress=progress, complete=False)
     preprocessing = training.preprocessing.replaced(**changes)
-    if preprocessing != validation.preprocessing:
+    if validation is not None and preprocessing != validation.preprocessing:
         raise DatasetError(
             f"{train_dir} and {validation_dir} were pre-processed differently: the first has "
             f"{preprocessing.differences(validation.preprocessing)}"
@@ -124,14 +126,16 @@ def load_data(
 
 def arrange(
     training: TactileDataset,
-    validation: TactileDataset,
+    validation: TactileDataset | None,
     config: TrainConfig,
     preprocessing: PreprocessingSettings,
 ) -> RunData:
-    """Hold samples back and reduce images to the network's size where that is still to be done."""
+    """Hold samples back and reduce images to the network's size where that is still to be done.
+
+    Without data to validate on, what is held back does that as well.
+    """
     named = CONTACT_MODELS.load(config.training.model)
     model = named.narrowed(training.labelled, training.report.folder)
-    named.narrowed(validation.labelled, validation.report.folder)
     kept, held_out = split_holdback(len(training), config.training.holdback)
     large = training.images[kept] if config.augmentation.active else None
     samples = Samples(_reduced(training.images, preprocessing.size), training.labels_for(model))
@@ -139,10 +143,15 @@ def arrange(
         "samples": len(kept),
         "held_out": len(held_out),
         "sha256": training.sha256,
-        "validation_samples": len(validation),
-        "validation_sha256": validation.sha256,
     }
-    report = training.report.lines() + validation.report.lines()
+    report, validated = training.report.lines(), samples.taken(held_out)
+    if validation is not None:
+        named.narrowed(validation.labelled, validation.report.folder)
+        facts |= {"validation_samples": len(validation), "validation_sha256": validation.sha256}
+        report += validation.report.lines()
+        validated = Samples(validation.images, validation.labels_for(model))
+    else:
+        report.append(f"  note: the {len(held_out)} samples held out choose the epoch as well")
     if model != SURFACE:
         facts[_MODEL] = model.plain()
     if model.unknown:
@@ -155,7 +164,7 @@ def arrange(
     return RunData(
         training=samples.taken(kept),
         held_out=samples.taken(held_out),
-        validation=Samples(validation.images, validation.labels_for(model)),
+        validation=validated,
         large=large,
         preprocessing=preprocessing,
         facts=facts,
@@ -192,17 +201,23 @@ def check_samples(data: RunData, config: TrainConfig) -> None:
         )
 
 
-def data_folders(data_dir: Path, validation_dir: Path | str | None) -> tuple[Path, Path]:
-    """Training and validation folder."""
+def data_folders(
+    data_dir: Path, validation_dir: Path | str | None, config: TrainConfig
+) -> tuple[Path, Path | None]:
+    """Training and validation folder; None where what is held out of the first does for the second."""
     if not data_dir.is_dir():
         raise DatasetError(f"{data_dir}: there is no such folder")
-    train_dir = training_part(data_dir)
+    train_dir, parts = training_part(data_dir), parts_of(data_dir)
     if validation_dir is not None:
         return train_dir, Path(validation_dir)
-    parts = parts_of(data_dir)
     if "train" in parts and "val" in parts:
         return train_dir, parts["val"]
-    raise DatasetError(f"{data_dir}: holds no train/ and val/; name the validation data with --val")
+    if config.training.holdback > 0.0:
+        return train_dir, None
+    raise DatasetError(
+        f"{data_dir}: holds no train/ and val/; name the validation data with --val, or hold some back "
+        "(--set training.holdback=0.2)"
+    )
 
 
 def _reduced(images: Image, size: int) -> Image:

@@ -55,7 +55,7 @@ def train(
     data_dir : training data, or a folder that holds `train/` and `val/`
     out_dir : gets `config.yaml`, `data.txt` (what was found in the folders) and `data.json` (their hashes),
         `epochs.csv`, `curves.png`, `best.pt`, `model.onnx` and, at the very end, `result.json`
-    validation_dir : validation data; required unless `data_dir` holds `val/`
+    validation_dir : validation data; without, and without `val/` in `data_dir`, what is held back
     limit : use this many training samples only
     """
     config = config or TrainConfig()
@@ -329,7 +329,11 @@ class _Run:
         return _History(epochs, best, state["stopped"])
 
     def _optimizer(self) -> torch.optim.Adam:
-        learning = {"nothing": nn.Module, "convolutions": nn.BatchNorm2d, "base": ()}
+        learning: dict[str, tuple[type, ...]] = {
+            "nothing": (nn.Module,),
+            "convolutions": (nn.BatchNorm2d,),
+            "base": (),
+        }
         for module in self.network.base.modules():
             for parameter in module.parameters(recurse=False):
                 parameter.requires_grad_(isinstance(module, learning[self.config.training.frozen]))

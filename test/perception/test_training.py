@@ -266,6 +266,22 @@ def test_few_samples_are_shown_as_often_as_a_schedule_needs(training_data, tmp_p
     assert counts == [4, 4, 12]  # two epochs of two batches, and thrice as many
 
 
+def test_what_is_held_back_validates_where_nothing_else_does(training_data, tmp_path):
+    config = short(holdback=0.25, precision="fp32").merged({"calibration": {"min_samples": 20}})
+    folder = training_data / "train"
+    result = train(folder, tmp_path / "run", config)
+    facts = json.loads((tmp_path / "run" / "data.json").read_text())
+    assert facts["held_out"] >= 20 and "validation_samples" not in facts
+    assert "choose the epoch as well" in (tmp_path / "run" / "data.txt").read_text()
+    held_out = load_data(folder, None, config).held_out
+    estimator = Estimator(result.model_path)
+    assert not estimator.metadata.calibration.is_identity
+    mean, _ = estimator.predict_uncalibrated(held_out.images[:, None].astype(np.float32) / 255.0)
+    np.testing.assert_allclose(np.abs(mean - held_out.labels).mean(axis=0), result.best.mae, rtol=1e-2)
+    with pytest.raises(DatasetError, match="hold some back"):
+        train(folder, tmp_path / "other", short())
+
+
 def test_the_shipped_start_fits_the_configuration_that_it_is_for():
     start, real = (
         TrainConfig.from_file(CONFIGS / name) for name in ("gdn_simulated_start.yaml", "gdn_symmetry.yaml")
