@@ -197,7 +197,8 @@ def check_samples(data: RunData, config: TrainConfig) -> None:
     if 0 < held_out < needed and config.network.head != "mse":
         raise CalibrationError(
             f"training.holdback = {config.training.holdback:g} leaves {held_out} samples to calibrate on: "
-            f"needs at least {needed} (calibration.min_samples); hold back more, or nothing"
+            f"needs at least {needed} (calibration.min_samples); hold back more, or nothing, or "
+            "train by few_contacts.yaml"
         )
 
 

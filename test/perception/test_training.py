@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import write_folder
 
 torch = pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
 pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
@@ -280,6 +281,19 @@ def test_what_is_held_back_validates_where_nothing_else_does(training_data, tmp_
     np.testing.assert_allclose(np.abs(mean - held_out.labels).mean(axis=0), result.best.mae, rtol=1e-2)
     with pytest.raises(DatasetError, match="hold some back"):
         train(folder, tmp_path / "other", short())
+
+
+def test_a_hundred_contacts_are_enough_for_their_configuration(dots, tmp_path):
+    rng = np.random.default_rng(1)
+    eulers = [rng.uniform([-4, -4, 0.5, -1, -1, -1], [4, 4, 6, 1, 1, 1]) for _ in range(100)]
+    write_folder(tmp_path / "contacts", ((dots(euler, rng), euler) for euler in eulers))
+    config = TrainConfig.from_file(CONFIGS / "few_contacts.yaml")
+    small = config.changed(["network.channels=[4,4,4,8,8]", "augmentation.symmetry_center=[222,219]"])
+    quick = small.changed(
+        ["training.decay_epochs=1", "training.least_steps=30", "augmentation.plain_epochs=0"]
+    )
+    result = train(tmp_path / "contacts", tmp_path / "run", quick)
+    assert Estimator(result.model_path).metadata.calibration.samples == 20
 
 
 def test_the_shipped_start_fits_the_configuration_that_it_is_for():
