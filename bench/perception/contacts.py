@@ -69,8 +69,9 @@ def dataset(path: str) -> TactileDataset:
 
 def stored(folder: Path, out: Path, size: int) -> Path:
     """A data set in one file, at `size` pixels: many jobs read it."""
-    path = out / f"{folder.name}.pkl"
+    path = out / str(size) / f"{folder.name}.pkl"
     if not path.exists():
+        path.parent.mkdir(exist_ok=True)
         data = read_dataset(training_part(folder), changes={"size": size}, complete=False)
         images = [cv2.imencode(".png", image)[1] for image in data.images]
         path.write_bytes(pickle.dumps((dataclasses.replace(data, images=np.empty(0)), images)))
@@ -79,14 +80,12 @@ def stored(folder: Path, out: Path, size: int) -> Path:
 
 def taken(data: TactileDataset, rows: np.ndarray, size: int) -> TactileDataset:
     """Some samples, at `size` pixels."""
-    images = [
-        cv2.resize(image, (size, size), interpolation=cv2.INTER_AREA) if size != len(image) else image
-        for image in data.images[rows]
-    ]
+    from tactile_perception.training.data import reduced
+
     return dataclasses.replace(
         data,
         names=[data.names[row] for row in rows],
-        images=np.array(images),
+        images=reduced(data.images[rows], size),
         euler_mm_deg=data.euler_mm_deg[rows],
         force=data.force[rows],
     )
@@ -214,12 +213,13 @@ def main() -> None:
     add("--start", nargs="*", default=[RANDOM], metavar="NAME=RUN", help="also NAME=RUN:base, and `random`")
     add("--vary", nargs="*", action="append", metavar="SECTION.NAME=VALUE", help="of a further network each")
     add("--sizes", type=int, nargs="*", default=SIZES)
+    add("--pixels", type=int, default=128, help="side at which images are kept: twice that of a network")
     add("--seeds", type=int, default=1)
     add("--jobs", type=int, default=1)
     given = arguments.parse_args()
     needs("scripts/setup.sh train", "torch", "onnx")
     given.out.mkdir(parents=True, exist_ok=True)
-    data = [folder if folder.suffix == ".pkl" else stored(folder, given.out, 128) for folder in given.data]
+    data = [stored(folder, given.out, given.pixels) for folder in given.data]
     jobs = [
         job_of(given, path, size, start, changes, seed)
         for seed in range(given.seeds)

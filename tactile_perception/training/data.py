@@ -138,7 +138,7 @@ def arrange(
     model = named.narrowed(training.labelled, training.report.folder)
     kept, held_out = split_holdback(len(training), config.training.holdback)
     large = training.images[kept] if config.augmentation.active else None
-    samples = Samples(_reduced(training.images, preprocessing.size), training.labels_for(model))
+    samples = Samples(reduced(training.images, preprocessing.size), training.labels_for(model))
     facts = {
         "samples": len(kept),
         "held_out": len(held_out),
@@ -221,7 +221,8 @@ def data_folders(
     )
 
 
-def _reduced(images: Image, size: int) -> Image:
+def reduced(images: Image, size: int) -> Image:
+    """Images (N, side, side[, 3]) at `size` pixels."""
     if images.shape[1] == size:
         return images
     shape = (size, size)
