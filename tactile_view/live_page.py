@@ -11,6 +11,7 @@ from tactile_bringup.tuning import Request
 from tactile_scene.scene import Scene
 from tactile_scene.scene_file import SceneError, load_scene
 from tactile_view.cell_state import CellState
+from tactile_view.in_loop import handler, later
 from tactile_view.live import LiveGraph, scene_of
 from tactile_view.page import Page
 from tactile_view.settings_panel import SettingsPanel
@@ -33,26 +34,28 @@ class LivePage(Page):
         self, graph: LiveGraph, state: CellState, host: str, port: int, read_only: bool = False
     ) -> None:
         self.hands = Hands(Operator(graph.domain_id, looks=False), self._say)
-        self._domain_id, self._node = graph.domain_id, ""
+        self._domain_id, self._node, self._read_only = graph.domain_id, "", read_only
+        self._scene: Scene | None = None  # once it is known, until it is shown
+        self._tries = TRIES
         super().__init__(state, graph, None, host, port)
-        self._read_only = read_only
-        if read_only:
+        self.hands.ask(self._find_scene)
+
+    def _build(self, scene: Scene | None) -> None:
+        super()._build(scene)
+        if self._read_only:
             with self.top:
                 self._said = self.server.gui.add_html("")
         else:
             self._build_acts()
             with self.tabs.add_tab("Settings"):
                 self._nodes = self.server.gui.add_dropdown("node", NODES)
-                self._nodes.on_update(lambda event: self._load_settings())
+                self._nodes.on_update(handler(lambda event: self._load_settings()))
                 self._settings = SettingsPanel(self.server, self._set)
-        self._scene: Scene | None = None  # once it is known, until it is shown
-        self._tries = TRIES
-        self.hands.ask(self._find_scene)
 
     def close(self) -> None:
         """Let go of graph and page."""
-        super().close()
         self.hands.close()
+        super().close()
         self.source.close()
 
     def _find_scene(self, operator: Operator) -> str:
@@ -73,20 +76,21 @@ class LivePage(Page):
         gui = self.server.gui
         with self.top:
             stop = gui.add_button("STOP all arms", color="red")
-            stop.on_click(lambda event: self._stop())
+            stop.on_click(handler(lambda event: self._stop()))
             gui.add_html(f"<div style='font-size:0.8em;padding:0 0.5em'>{NO_EMERGENCY_STOP}</div>")
             row = gui.add_button_group("", ("reset", "end goal"))
-            row.on_click(lambda event: self._act(event.target.value))
+            row.on_click(handler(lambda event: self._act(event.target.value)))
             self._goal = gui.add_text(
                 "goal", "{}", hint="values of the task's goal as YAML, e.g. {length: 0.05}"
             )
             start = gui.add_button("start goal")
-            start.on_click(lambda event: self._start())
+            start.on_click(handler(lambda event: self._start()))
             self._said = gui.add_html("")
 
     def _say(self, text: str, ok: bool) -> None:
         color = "inherit" if ok else "#c01c1c"
-        set_html(self._said, f"<span style='color:{color}'>{escape(text)}</span>")
+        said = f"<span style='color:{color}'>{escape(text)}</span>"
+        later(self.server, lambda: set_html(self._said, said))
 
     def _stop(self) -> None:
         self.hands.stop_all()
@@ -145,7 +149,7 @@ class LivePage(Page):
 
         def act(operator: Operator) -> str:
             found = settings_of(operator, node)
-            self._settings.fill(node, found)
+            later(self.server, lambda: self._settings.fill(node, found))
             return f"{node}: {len(found)} parameters"
 
         self.hands.ask(act)
@@ -153,7 +157,7 @@ class LivePage(Page):
     def _set(self, request: Request) -> None:
         def act(operator: Operator) -> str:
             taken, refusals = carry_out(operator, request)
-            self._settings.finished(request, taken, refusals)
+            later(self.server, lambda: self._settings.finished(request, taken, refusals))
             if refusals:
                 raise OperatorError("; ".join(refusals))
             return ", ".join(f"{node} {name}" for node, name in taken) + " changed"

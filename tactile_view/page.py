@@ -18,6 +18,7 @@ from tactile_view.cell_state import CellState
 from tactile_view.cell_view import CellView
 from tactile_view.door import only_own_pages, token_for
 from tactile_view.follower import CameraFollower
+from tactile_view.in_loop import handler, wait_for
 from tactile_view.panels import BeliefPanel, MotionPanel, TouchPanel
 from tactile_view.words import (
     events_in_words,
@@ -63,12 +64,9 @@ class Page:
             self.server = viser.ViserServer(
                 host=host, port=port or free_port(host), label="tactile_servoing", verbose=False
             )
-        self.server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
-        self.server.gui.main_panel.dock_right()
-        self.view = CellView(self.server, scene)
         self.arm = ""
         self._due: dict[str, float] = {}
-        self._build()
+        wait_for(self.server, lambda: self._build(scene))
 
     @property
     def address(self) -> str:
@@ -76,8 +74,11 @@ class Page:
         token = f"/?token={self._token}" if self._token else ""
         return f"http://{self.server.get_host()}:{self.server.get_port()}{token}"
 
-    def _build(self) -> None:
+    def _build(self, scene: Scene | None) -> None:
         gui = self.server.gui
+        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        self.view = CellView(self.server, scene)
         self._words = gui.add_html("<p>nothing heard yet</p>")
         self.top = gui.add_folder("Do")
         self._arms = gui.add_dropdown("arm", ("-",), visible=False)
@@ -103,9 +104,9 @@ class Page:
         )  # fmt: skip
         for name, label in shown:
             box: Any = gui.add_checkbox(label, getattr(options, name))
-            box.on_update(functools.partial(self._choose, name))
+            box.on_update(handler(functools.partial(self._choose, name)))
         size = gui.add_slider("uncertainty, times", 1.0, 50.0, 1.0, options.uncertainty)
-        size.on_update(lambda event: setattr(options, "uncertainty", event.target.value))
+        size.on_update(handler(lambda event: setattr(options, "uncertainty", event.target.value)))
         self.follow = gui.add_checkbox("camera follows the tip", True)
         self._followers: dict[int, CameraFollower] = {}  # of each page
 
@@ -125,10 +126,10 @@ class Page:
             looked_at = bool(self.server.get_clients())
             self.source.poll(POLL if looked_at else IDLE, looked_at)
             if looked_at:
-                self.show()
+                wait_for(self.server, self.show)
 
     def show(self) -> None:
-        """Bring up to date what is due."""
+        """Bring up to date what is due; in the server's loop, as all that changes elements."""
         arms = tuple(sorted(self.state.arms)) or ("-",)
         if self._arms.options != arms:
             self._arms.options, self._arms.visible = arms, len(arms) > 1
@@ -159,7 +160,7 @@ class Page:
 
     def say_end(self) -> None:
         """Leave a word on the page, which stays as it is when nobody serves it any more."""
-        set_html(self._words, ENDED)
+        wait_for(self.server, lambda: set_html(self._words, ENDED))
         time.sleep(LAST_WORD)
 
     def _is_due(self, what: str, period: float) -> bool:

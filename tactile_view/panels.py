@@ -24,6 +24,7 @@ from tactile_records.runs.euler_poses import (
 )
 from tactile_records.runs.record import GaussianSeries
 from tactile_view.cell_state import WINDOW, ArmState, Types
+from tactile_view.in_loop import handler
 from tactile_view.marker_picture import marker_picture
 from tactile_view.words import BOX, estimate_in_words, latency_in_words, set_html
 
@@ -97,7 +98,7 @@ class TouchPanel:
     def __init__(self, server: viser.ViserServer, types: Types) -> None:
         self._types, self._shown, self._markers = types, 0, ""
         self.choice: Any = server.gui.add_dropdown("show", (PLAIN, MARKERS))
-        self.choice.on_update(lambda event: self._draw_anew())
+        self.choice.on_update(handler(lambda event: self._draw_anew()))
         self._image = server.gui.add_image(
             np.full((4, 4, 3), 235, np.uint8), label="tactile image", format="jpeg", visible=False
         )

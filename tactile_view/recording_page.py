@@ -10,6 +10,7 @@ from tactile_records.bags.contents import Bag
 from tactile_scene.scene import Scene
 from tactile_scene.scene_file import SceneError, load_scene
 from tactile_view.cell_state import CellState
+from tactile_view.in_loop import handler
 from tactile_view.page import Page
 from tactile_view.recording import Recording
 from tactile_view.repeats import CLOSE, Repeated, repeats
@@ -33,9 +34,14 @@ class RecordingPage(Page):
     def __init__(
         self, recording: Recording, state: CellState, scene: Scene | None, host: str, port: int
     ) -> None:
+        self._asked: list[tuple[str, Any]] = []
         super().__init__(state, recording, scene, host, port)
+
+    def _build(self, scene: Scene | None) -> None:
+        super()._build(scene)
         self.top.label = "Time"
-        gui, length = self.server.gui, max(recording.duration, 1e-3)
+        gui, recording = self.server.gui, self.source
+        length = max(recording.duration, 1e-3)
         with self.top:
             self._marks = gui.add_html("")
             self._time: Any = gui.add_slider("s", 0.0, round(length, 2), 0.01, 0.0)
@@ -45,17 +51,16 @@ class RecordingPage(Page):
             self._problem = gui.add_html("")
         with self.tabs.add_tab("Phases"):
             self._listed = gui.add_html("")
-        self._asked: list[tuple[str, Any]] = []
-        self._time.on_update(self._dragged)
-        row.on_click(lambda event: self._ask(event.target.value, None))
-        speed.on_update(lambda event: setattr(recording, "speed", float(event.target.value)))
+        self._time.on_update(handler(self._dragged))
+        row.on_click(handler(lambda event: self._ask(event.target.value, None)))
+        speed.on_update(handler(lambda event: setattr(recording, "speed", float(event.target.value))))
 
     def _dragged(self, event: Any) -> None:
         if event.client is not None:  # by a person, not by us
             self._ask("seek", event.target.value)
 
     def _ask(self, what: str, value: Any) -> None:
-        """Elements are handled in threads of their own; the loop does what they ask for."""
+        """The next look at the recording does what elements ask for."""
         self._asked.append((what, value))
 
     def show(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Coroutine, Sequence
 from html import escape
 from typing import Any
 
@@ -12,6 +12,7 @@ from tactile_base.settings import SettingError
 from tactile_base.yaml_file import value_text
 from tactile_bringup.tuning import Request, RuntimeSetting, Tuning
 from tactile_bringup.tuning_files import saved
+from tactile_view.in_loop import handler
 from tactile_view.words import set_html
 
 PLAIN = (bool, int, float, str)
@@ -35,7 +36,7 @@ class SettingsPanel:
         self._said = gui.add_html("")
         self.say("no settings yet")
         row = gui.add_button_group("", ("undo", "redo", "A / B", "save"))
-        row.on_click(lambda event: self._press(event.target.value))
+        row.on_click(handler(lambda event: self._press(event.target.value)))
         self._folder = gui.add_folder("settings")
 
     def fill(self, node: str, settings: Collection[RuntimeSetting]) -> None:
@@ -94,7 +95,7 @@ class SettingsPanel:
             handle = _SixNumbers(gui, name, value, hint)
         else:
             handle = gui.add_text(name, _shown(value), hint=hint)
-        handle.on_update(lambda event: self._changed(setting, event))
+        handle.on_update(handler(lambda event: self._changed(setting, event)))
         return handle
 
     def _changed(self, setting: RuntimeSetting, event: Any) -> None:
@@ -166,7 +167,7 @@ class _SixNumbers:
         for k, row in enumerate(self._rows):
             row.value = tuple(value[3 * k : 3 * k + 3])
 
-    def on_update(self, call: Callable[[Any], None]) -> None:
+    def on_update(self, call: Callable[[Any], Coroutine[Any, Any, None]]) -> None:
         for row in self._rows:
             row.on_update(call)
 

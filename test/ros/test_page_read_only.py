@@ -3,9 +3,9 @@
 import asyncio
 import time
 
-import msgspec
 import pytest
 import websockets
+from raw_page import LOOKING, setting
 
 viser = pytest.importorskip("viser", reason="needs viser (the extra 'view')")
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -13,13 +13,6 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 from tactile_view.cell_state import CellState  # noqa: E402
 from tactile_view.live import LiveGraph  # noqa: E402
 from tactile_view.live_page import LivePage  # noqa: E402
-
-#: What makes a client known: its view of the scene.
-VIEW = {
-    "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (1.0, 0.0, 0.0), "fov": 1.0,
-    "near": 0.01, "far": 10.0, "image_height": 10, "image_width": 10, "look_at": (0.0, 0.0, 0.0),
-    "up_direction": (0.0, 0.0, 1.0),
-}  # fmt: skip
 
 
 class Acts:
@@ -49,11 +42,10 @@ def done_by_raw_messages(domain: int, read_only: bool) -> list[str]:
         address = page.address.replace("http", "ws")
         protocol = f"viser-v{viser.__version__}"
         async with websockets.connect(address, origin=page.address, subprotocols=[protocol]) as socket:
-            await socket.send(msgspec.msgpack.encode(VIEW))
+            await socket.send(LOOKING)
             await asyncio.sleep(0.5)
             for element in list(page.server.gui._gui_input_handle_from_uuid):
-                message = {"type": "GuiUpdateMessage", "uuid": element, "updates": {"value": "reset"}}
-                await socket.send(msgspec.msgpack.encode(message))
+                await socket.send(setting(element, "reset"))
             await asyncio.sleep(1.0)
 
     try:

@@ -3,6 +3,8 @@
 import asyncio
 import contextlib
 import os
+import threading
+import time
 import urllib.error
 import urllib.request
 
@@ -10,6 +12,8 @@ import pytest
 import viser
 import websockets
 from cell_messages import record
+from raw_page import LOOKING, setting
+from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 from tactile_view.cell_state import CellState
 from tactile_view.door import MOST_PAGES
@@ -107,6 +111,39 @@ def fetched(url: str, cookie: str = "") -> tuple[int, str]:
             return response.status, str(response.headers["Set-Cookie"])
     except urllib.error.HTTPError as error:
         return error.code, ""
+
+
+def test_elements_are_changed_in_the_servers_thread(tmp_path, monkeypatch):
+    """What sends to open pages is woken in whatever thread changes an element, and may die of another one."""
+    push, threads = AsyncMessageBuffer.push, set()
+
+    def watched(buffer, message):
+        threads.add(threading.current_thread())
+        push(buffer, message)
+
+    async def server_thread() -> threading.Thread:
+        return threading.current_thread()
+
+    with served(tmp_path, "127.0.0.1") as page:
+        own = asyncio.run_coroutine_threadsafe(server_thread(), page.server.get_event_loop()).result()
+        monkeypatch.setattr(AsyncMessageBuffer, "push", watched)
+
+        async def look() -> None:
+            async with await opened(page, page.address) as socket:
+                await socket.send(LOOKING)
+                while page.source.seconds < 0.5:  # what it shows goes on
+                    await asyncio.wait_for(socket.recv(), 10.0)
+                for element in list(page.server.gui._gui_input_handle_from_uuid):
+                    await socket.send(setting(element, 1.0))
+                await asyncio.sleep(0.5)
+
+        done = threading.Event()
+        looking = threading.Thread(target=lambda: (asyncio.run(look()), done.set()), daemon=True)
+        looking.start()
+        end = time.monotonic() + 60.0
+        page.run(lambda: done.is_set() or time.monotonic() > end)
+        page.say_end()
+        assert done.is_set() and threads == {own}
 
 
 async def socket_with(page, cookie: str):
