@@ -89,7 +89,7 @@ def main() -> None:
     given = arguments.parse_args()
     needs("pip install viser websockets", "viser", "websockets")
     os.environ["ROS_DOMAIN_ID"] = str(free_domain_id())
-    heads = ("pages", "p50, p99 (ms)", "dropped, in silence", "core of the viewer", "exit code")
+    heads = ("pages", "p50, p99 (ms)", "dropped, at work, in silence", "core of the viewer", "exit code")
     table = Table(heads, "one run a row", timed=True)
     for _ in range(given.rounds):
         for pages in given.pages:
@@ -99,7 +99,10 @@ def main() -> None:
             latency, frames = values.get("latency_ms", {}), values.get("frames", {})
             both = f"{latency['p50']:.1f}, {latency['p99']:.1f}" if latency else "no run: " + values["end"]
             lost = (
-                f"{sum(frames['lost'].values())} of {frames['exposed']}, {frames['silent']}" if frames else ""
+                f"{sum(frames['lost'].values())} of {frames['exposed']}, {frames['lost_at_work']}, "
+                f"{frames['silent']}"
+                if frames
+                else ""
             )
             table.row(pages, both, lost, f"{used:.0%}", values["exit"])
 

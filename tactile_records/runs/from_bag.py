@@ -84,7 +84,7 @@ def run_from_bag(bag: Bag, arm: str) -> RunRecord:
     )
     for stream, (topic, row) in STREAMS.items():
         setattr(record, stream, rows.series(type(getattr(record, stream)), topic, row))
-    record.latency, record.lost = _latency(rows)
+    record.latency = _latency(rows)
     problem = _add_bodies(record, bag)
     record.settings, record.origin = given(noted(bag.note, "parameters"), arm), _origin(bag)
     record.events = events_of(bag, arm)
@@ -248,7 +248,7 @@ def frames_of(message: Any) -> tuple[str, list[tuple[int, float, int]]]:
     return message.stage, [(_ns(e), (_ns(out) - _ns(e)) * 1e-9, int(dropped)) for e, out, dropped in parts]
 
 
-def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
+def _latency(rows: _Rows) -> dict[str, StageSeries]:
     """Latency of each stage, and the frames that it dropped since its first answer here, by stage in order.
 
     A stage counts from its activation, which may come before the recording: what it dropped until then is not
@@ -258,12 +258,12 @@ def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
     for stage, frames in rows.rows("latency", frames_of):
         if frames:
             by_stage.setdefault(stage, []).extend(frames)
-    series, lost = {}, {}
+    series = {}
     for stage in sorted(by_stage, key=lambda name: STAGES.index(name) if name in STAGES else len(STAGES)):
         stamps, seconds_each, counts = zip(*sorted(by_stage[stage]), strict=True)
-        series[stage] = StageSeries(np.array(stamps), np.array(seconds_each))
-        lost[stage] = max(counts) - counts[0]
-    return series, lost
+        dropped = np.maximum.accumulate(counts) - counts[0]
+        series[stage] = StageSeries(np.array(stamps), np.array(seconds_each), dropped)
+    return series
 
 
 def _add_bodies(record: RunRecord, bag: Bag) -> str:

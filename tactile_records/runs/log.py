@@ -94,7 +94,6 @@ class RunLog:
             setattr(record, stream, _series(type(getattr(record, stream)), rows))
         if self._latency:
             record.latency = {COMMAND_STAGE: _series(StageSeries, self._latency)}
-            record.lost = {COMMAND_STAGE: 0}
         record.events = _phases(record)
         record.result = {"succeeded": succeeded, "reason": reason, "wall_s": wall_s}
         record.result |= {"refused": dict(refused)} if refused else {}

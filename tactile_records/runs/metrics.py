@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tactile_base.stamps import SECOND_NS
 from tactile_geometry import se3
 from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas, inverses
-from tactile_records.runs.record import GaussianSeries, PresenceSeries, RunRecord, TruthSeries
+from tactile_records.runs.record import GaussianSeries, PresenceSeries, RunRecord, StageSeries, TruthSeries
 
 Array = NDArray[Any]
 
@@ -91,6 +91,7 @@ REPORT_FIELDS: dict[str, str] = {
     "frames.believed": "images with a belief",
     "frames.commands": "commands emitted",
     "frames.lost.*": "frames lost by this stage (dropped and counted)",
+    "frames.lost_at_work": "those of them lost while the task was at work, all stages",
     "frames.silent": "frames that a stage neither answered nor counted as dropped",
     "goals.*.succeeded": "this goal was reached",
     "goals.*.length_mm": "its way while at work",
@@ -377,9 +378,16 @@ def _frames(record: RunRecord) -> dict[str, Any]:
         "estimated": len(record.estimate),
         "believed": len(record.belief),
         "commands": len(record.command),
-        "lost": dict(record.lost),
+        "lost": record.lost,
+        "lost_at_work": sum(_lost_at_work(record, series) for series in record.latency.values()),
         "silent": _silent(record),
     }
+
+
+def _lost_at_work(record: RunRecord, series: StageSeries) -> int:
+    """Frames that a stage dropped before an answer at work, since the one before."""
+    lost = np.diff(series.dropped, prepend=series.dropped[:1])
+    return int(lost[record.working(series.stamp_ns)].sum())
 
 
 def _silent(record: RunRecord) -> int:
@@ -443,7 +451,11 @@ def loop_rows(values: Mapping[str, Any], p50: str = "", p99: str = "") -> list[t
     return [
         ("latency p50", text(latency["p50"], "ms", 1), p50),
         ("latency p99", text(latency["p99"], "ms", 1), p99),
-        ("frames dropped and counted", str(sum(frames["lost"].values())), ""),
+        (
+            "frames dropped and counted",
+            f"{sum(frames['lost'].values())}, {frames['lost_at_work']} at work",
+            "",
+        ),
         ("frames lost in silence", str(frames["silent"]), "0"),
     ]
 

@@ -149,9 +149,10 @@ class ArmSeries(Series):
 
 @dataclass
 class StageSeries(Series):
-    """Latency of one stage by exposure stamp: seconds from the exposure to the stage's output."""
+    """One stage by exposure stamp: seconds from the exposure to its output, frames dropped by then."""
 
     seconds: Array = _array()
+    dropped: Array = _array(dtype=np.int64)  # and counted, since the first row
 
 
 @dataclass
@@ -218,7 +219,6 @@ class RunRecord:
     body : BodySeries
         The body that the arm touches and a motion model moves; empty where nobody knows its pose.
     latency : stage name -> StageSeries, cumulative from the exposure, in the order of the stages
-    lost : stage name -> number of frames lost (dropped and counted) there
     result : succeeded (bool) and reason (str) of the task, wall_s, and what else is worth a line in a report
     settings : node -> dotted name -> value that it was given, of the nodes that the arm had to do with
     origin : command line, versions, machine and time of the run, as `tactile_base.origin` has them
@@ -249,7 +249,6 @@ class RunRecord:
     command: CommandSeries = field(default_factory=CommandSeries)
     arm_twist: ArmSeries = field(default_factory=ArmSeries)
     latency: dict[str, StageSeries] = field(default_factory=dict)
-    lost: dict[str, int] = field(default_factory=dict)
     body: BodySeries = field(default_factory=BodySeries)
     surface: SurfaceMesh = field(default_factory=SurfaceMesh)
     loose: LooseBody = field(default_factory=LooseBody)
@@ -261,6 +260,11 @@ class RunRecord:
     def phase_at(self, stamp_ns: Array) -> Array:
         """The phase in force at each stamp: that of the latest command emitted at or before it, else ''."""
         return self._held(self.command.phase, stamp_ns, "")
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """Stage name -> number of frames lost (dropped and counted) there."""
+        return {stage: int(series.dropped[-1]) for stage, series in self.latency.items() if len(series)}
 
     def working(self, stamp_ns: Array) -> Array:
         """Whether the task was at its own work at each stamp."""
@@ -306,7 +310,7 @@ class RunRecord:
             with np.load(path) as file:
                 arrays = dict(file)
             plain = json.loads(str(arrays["plain"]))
-            stages = plain.pop("stages")
+            stages, lost = plain.pop("stages"), plain.pop("lost", {})
         except (BadZipFile, EOFError, KeyError, ValueError, zlib.error) as error:
             raise ValueError(f"{path}: no record of a run, or damaged: {error}") from error
         record = cls(**plain)
@@ -318,6 +322,8 @@ class RunRecord:
             elif isinstance(value, np.ndarray):
                 setattr(record, item.name, arrays.get(item.name, value))  # older files have fewer
         record.latency = {s: from_columns(StageSeries, f"latency/{s}", arrays) for s in stages}
+        for stage, count in lost.items():  # older files tell no more of it
+            record.latency[stage].dropped[-1:] = count
         return record
 
     def _held(self, values: Array, stamp_ns: Array, before: Any) -> Array:

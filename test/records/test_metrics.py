@@ -60,7 +60,6 @@ def made_up(seconds=6.0, depth_error=0.0002, tilt=0.02, wobble=0.0, wobble_hz=3.
         "estimator": StageSeries(stamps, latency / 2),
         "controller": StageSeries(stamps, latency),
     }
-    record.lost = {"filter": 2}
     record.result = {"succeeded": True, "reason": "", "wall_s": 1.5}
     return record
 
@@ -220,5 +219,16 @@ def test_a_frame_that_no_stage_counts_is_lost_in_silence():
 
 def test_a_counted_frame_is_not_lost_in_silence():
     record = without_some(made_up(), "controller", 3)
-    record.lost["controller"] = 2
+    record.latency["controller"].dropped[-1:] = 2
     assert report(record)["frames"]["silent"] == 1
+
+
+def test_frames_lost_while_nodes_start_are_told_apart_from_those_lost_at_work():
+    record = made_up()
+    at_work = np.flatnonzero(record.command.phase == "follow")
+    record.latency["controller"].dropped[2:] += 5
+    assert report(record)["frames"]["lost"]["controller"] == 5
+    assert report(record)["frames"]["lost_at_work"] == 0
+    record.latency["controller"].dropped[at_work[10] :] += 2
+    frames = report(record)["frames"]
+    assert frames["lost"] == {"estimator": 0, "controller": 7} and frames["lost_at_work"] == 2
