@@ -1,8 +1,15 @@
 """The page beside a running graph, in a real browser: settings change or are refused, it stops the arm."""
 
+import asyncio
+import contextlib
+import threading
+
 import pytest
+import viser
+import websockets
 from browser import PATIENCE, Viewer, chromium, wait
 from ramp_cell import Cell
+from raw_page import LOOKING
 
 from tactile_msgs.msg import ArmStatus
 
@@ -99,6 +106,42 @@ def test_what_arms_say_comes_to_the_page_only_while_somebody_looks(cell, viewer)
     assert cell.graph.wait(lambda: not heard())
     viewer.page.goto(viewer.address)
     assert cell.graph.wait(heard) and told(cell, viewer, "surface_following")
+
+
+class Flood(threading.Thread):
+    """Sends as much as the page's socket takes, on several at once, until it is told to end."""
+
+    def __init__(self, address: str) -> None:
+        super().__init__(daemon=True)
+        self.sent, self.ends, self._address = 0, False, address
+        self.start()
+
+    def run(self) -> None:
+        asyncio.run(self._send())
+
+    async def _send(self) -> None:
+        await asyncio.gather(*(self._one() for _ in range(8)))
+
+    async def _one(self) -> None:
+        protocol = f"viser-v{viser.__version__}"
+        while not self.ends:
+            with contextlib.suppress(websockets.WebSocketException, OSError, TimeoutError):  # it may end one
+                async with websockets.connect(
+                    self._address.replace("http", "ws"), origin=self._address, subprotocols=[protocol]
+                ) as socket:
+                    while not self.ends:
+                        await asyncio.wait_for(socket.send(LOOKING), 1.0)
+                        self.sent += 1
+
+
+def test_a_flood_to_the_page_changes_nothing_for_the_arm(cell, viewer):
+    handle = cell.following()
+    flood = Flood(viewer.address)
+    result = cell.result(handle)
+    flood.ends = True
+    flood.join()
+    assert result.success, result.reason
+    assert flood.sent > 1000 and viewer.process.poll() is None
 
 
 def test_what_becomes_of_the_page_changes_nothing_for_the_arm(cell, viewer):

@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 SCENES = {"object_tracking": "tracking_flat", "dual_pushing": "dual_pushing"}
 FEELS = {"object_tracking": ("follower",), "dual_pushing": ("follower", "leader")}
-# a machine that holds up a process only delays the task
+# Beside a browser that draws in software a process may be held up: it only delays the task.
 PATIENT = ("watchdog.patience=30", "watchdog.start_timeout=60")
 IN_CONTACT = ("contact.approach_timeout=100", "contact.settle_timeout=100")
 AGE = "state_age: 10.0"
