@@ -19,6 +19,8 @@ SCENES = {"object_tracking": "tracking_flat", "dual_pushing": "dual_pushing"}
 FEELS = {"object_tracking": ("follower",), "dual_pushing": ("follower", "leader")}
 # Beside a browser that draws in software a process may be held up: it only delays the task.
 PATIENT = ("watchdog.patience=30", "watchdog.start_timeout=60")
+# And slower than it could, so that whoever is held up does not fall behind what it holds.
+UNHURRIED = {"object_tracking": "leader.task.speed_factor=0.2", "dual_pushing": "leader.task.stuck_time=60"}
 IN_CONTACT = ("contact.approach_timeout=100", "contact.settle_timeout=100")
 AGE = "state_age: 10.0"
 
@@ -32,6 +34,7 @@ def launched(folder: Path, task: str) -> Launched:
     scene = folder / f"{SCENES[task]}.yaml"
     scene.write_text(aged)
     words = ["launch", task, "--scene", str(scene), "--headless", "--rate", "20", "--out", str(folder)]
+    words += ["--set", UNHURRIED[task]]
     for role in ("leader", "follower"):
         for setting in (*PATIENT, *(IN_CONTACT if role in FEELS[task] else ())):
             words += ["--set", f"{role}.{setting}"]
