@@ -2,6 +2,7 @@
 
     python bench/simulation/real_skin.py forces DATA/tacpad_ur5/train
     python bench/simulation/real_skin.py sticking DATA/tactip_franka/train
+    python bench/simulation/real_skin.py friction DATA/tactip_franka/train DATA/cr_tactip/train
 
 Followed are the markers around the point of contact, within 0.7 of the angle that the depth cuts off.
 """
@@ -24,14 +25,20 @@ from tactile_sim.tactip import TacTip
 
 SLIPPERY = SensorFile(TacTipSettings(contact=ContactSettings(friction=0.25)))
 SENSORS = {"built in": SensorFile(), "fitted": load_sensor("tactip_franka"), "friction 0.25": SLIPPERY}
+FRICTIONS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5)
 HOW = "95 % of a bootstrap in brackets"
+
+
+def bands(measure: Callable[[Array], list[float]], rows: Array) -> Array:
+    """The numbers (K,) that are measured on rows, and the ends of their bands: (3, K)."""
+    rng, n = np.random.default_rng(0), len(rows)
+    ends = np.percentile([measure(rows[rng.integers(n, size=n)]) for _ in range(300)], (2.5, 97.5), axis=0)
+    return np.array([measure(rows), *ends])
 
 
 def banded(measure: Callable[[Array], list[float]], rows: Array) -> list[str]:
     """Each number that is measured on rows, with its band."""
-    rng, n = np.random.default_rng(0), len(rows)
-    bands = np.percentile([measure(rows[rng.integers(n, size=n)]) for _ in range(300)], (2.5, 97.5), axis=0)
-    return [f"{v:.2f} ({low:.2f}, {high:.2f})" for v, low, high in zip(measure(rows), *bands, strict=True)]
+    return [f"{v:.2f} ({low:.2f}, {high:.2f})" for v, low, high in bands(measure, rows).T]
 
 
 def stiffness(rows: Array) -> list[float]:
@@ -139,9 +146,45 @@ def sticking(*folders: Path) -> None:
             table.row(name, f"{low}-{low + 1}", len(rows), *banded(following, rows))
 
 
+def friction(*folders: Path) -> None:
+    """The friction at which the built-in skin slips as much as a real TacTip does, under its labels."""
+    heads = "sensor, z (mm), contacts, friction by the limit of force, by the limit of torque"
+    table = Table(heads.split(", "), f"{HOW}; >: as much as sticks is stuck")
+    for folder in folders:
+        track = labelled_markers.track(folder)
+        some, others = np.random.default_rng(0).permutation(track.labels)[:4000].reshape(2, -1, 6)
+        simulated = [dict(contacts(*with_friction(value, some))) for value in FRICTIONS]
+        real = dict(contacts(track.labels, track.rest, track.positions))
+        check = dict(contacts(*with_friction(SensorFile().sensor.contact.friction, others)))
+        for name, rows in ((folder.parent.name, real), ("built in", check)):
+            for low in sorted(rows.keys() & simulated[0].keys()):
+                curves = np.maximum.accumulate([slipping(skin[low]) for skin in simulated])
+                found = bands(slipping, rows[low])
+                table.row(name, f"{low}-{low + 1}", len(rows[low]), *map(as_friction, found.T, curves.T))
+
+
+def with_friction(value: float, labels: Array) -> tuple[Array, Array, Array]:
+    """Labels, markers at rest and in the contacts of the built-in skin with another friction."""
+    file = SensorFile(TacTipSettings(contact=ContactSettings(friction=value)))
+    places = np.array([sensor.marker_pixels for sensor in pressed(file, labels)])
+    return labels, TacTip(file.sensor).marker_pixels, places
+
+
+def slipping(rows: Array) -> list[float]:
+    """Of `following` what a limit of force and what a limit of torque hold back most."""
+    numbers = following(rows)
+    return [numbers[3], numbers[-1]]
+
+
+def as_friction(found: Array, curve: Array) -> str:
+    """A number and the ends of its band as frictions, by what each of `FRICTIONS` makes of it."""
+    value, low, high = (f"{v:.2f}" if v < FRICTIONS[-1] else ">" for v in np.interp(found, curve, FRICTIONS))
+    return f"{value} ({low}, {high})"
+
+
 if __name__ == "__main__":
     given = parser(__doc__ or "")
-    given.add_argument("what", choices=("forces", "sticking"))
+    given.add_argument("what", choices=("forces", "sticking", "friction"))
     given.add_argument("folders", nargs="+", type=Path)
     arguments = given.parse_args()
-    {"forces": forces, "sticking": sticking}[arguments.what](*arguments.folders)
+    {"forces": forces, "sticking": sticking, "friction": friction}[arguments.what](*arguments.folders)
