@@ -30,6 +30,7 @@ from tactile_bringup.commands.changes import (
 from tactile_bringup.commands.simulate import deliver
 from tactile_bringup.experiments import real_pushes_results as results
 from tactile_bringup.experiments.pushing import (
+    IDEAL,
     PLANE,
     Common,
     Trial,
@@ -75,8 +76,8 @@ def _register_pushing(kinds: Any) -> None:
     add("--objects", nargs="+", default=(), metavar="NAME", help="(default: all of the table)")
     add("--floors", nargs="+", default=(), metavar="NAME", help="(default: all of the table)")
     add("--controller", default="paper", metavar="NAME", help="paper, tuned or offset (default: paper)")
-    add("--fidelity", default="ideal", metavar="NAME",
-        help="of the sensors; plane: ideal ones, all trials side by side in the plane (default: ideal)",
+    add("--fidelity", metavar="NAME",
+        help="of the sensors; plane: ideal ones, all trials side by side (default: the map's, else ideal)",
     )  # fmt: skip
     add("--device", default="numpy", metavar="NAME",
         help="of fidelity plane: numpy, or torch or jax where installed, as torch:cuda (default: numpy)",
@@ -181,16 +182,17 @@ def run(arguments: argparse.Namespace) -> int:
     done again.
     """
     table, trials_of = _asked(arguments)
+    fidelity = arguments.fidelity or (map_of(arguments.map).fidelity if arguments.map else IDEAL)
     common = Common(
         table,
         arguments.controller,
-        arguments.fidelity,
+        fidelity,
         arguments.filter,
         arguments.latency,
         tuple(arguments.changes),
         arguments.arm,
     )
-    names = arguments.map or table, arguments.controller, arguments.fidelity
+    names = arguments.map or table, arguments.controller, fidelity
     folder = arguments.out or Path("out") / "pushing" / "-".join(names)
     check_folder(folder)
     first, count = arguments.seed, arguments.trials

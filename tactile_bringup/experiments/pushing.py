@@ -38,6 +38,7 @@ from tactile_sim.pushing_scene import PushedProfiles, PushVariation, read_profil
 TABLES, MAPS = "experiments/lloyd_lepora_pushing.yaml", "experiments/pushing_maps.yaml"
 #: All trials side by side in the plane of the floor, with ideal sensors: `pushing_plane`.
 PLANE = "plane"
+IDEAL = "ideal"
 NUMBERS = ("succeeded", "reason", "contact_fraction", "slip_fraction", "work_s", "wall_s")  # of a report
 
 
@@ -83,13 +84,17 @@ class Table:
 
 @dataclass(frozen=True)
 class Map:
-    """Where it works: one row of a table with one or two variables set to some values each."""
+    """Where it works: one row of a table with one or two variables set to some values each.
+
+    `fidelity` is that of the sensors where nothing else is asked for.
+    """
 
     name: str
     table: str
     object: str
     floor: str
     variables: Mapping[str, tuple[Value, ...]]
+    fidelity: str = IDEAL
 
     @staticmethod
     def text(variable: str) -> str:
@@ -118,7 +123,7 @@ class Common:
 
     table: str
     controller: str = "paper"
-    fidelity: str | None = "ideal"
+    fidelity: str | None = IDEAL
     filter: str = ""
     latency: float = 10.0
     changes: tuple[str, ...] = ()
@@ -185,7 +190,7 @@ def load_maps() -> dict[str, Map]:
 
 
 def _map(name: str, section: Section) -> Map:
-    section.allow("table", "row", "variables")
+    section.allow("table", "row", "variables", "fidelity")
     row = section.value("row")
     if not isinstance(row, list) or len(row) != 2:
         section.fail(f"{section.name}.row = {row!r}: must be an object and a floor", "row")
@@ -195,7 +200,8 @@ def _map(name: str, section: Section) -> Map:
         section.fail(f"{section.name}.variables: must be one or two", "variables")
     values = {key: tuple(each) for key, each in variables.values.items()}
     table = section.choice("table", list(load_tables()))
-    return Map(name, table, str(row[0]), str(row[1]), values)
+    fidelity = section.choice("fidelity", FIDELITIES, IDEAL)
+    return Map(name, table, str(row[0]), str(row[1]), values, fidelity)
 
 
 def map_of(name: str) -> Map:
@@ -281,7 +287,7 @@ def _loaded(common: Common) -> tuple[Scene, Task, PushedProfiles, OfflineOptions
     fidelity = common.fidelity
     if fidelity is not None and fidelity not in (*FIDELITIES, PLANE):
         raise SettingError(f"fidelity: {unknown_name(fidelity, (*FIDELITIES, PLANE))}")
-    fidelity = "ideal" if fidelity == PLANE else fidelity
+    fidelity = IDEAL if fidelity == PLANE else fidelity
     scene, task = load_scene(table_of(common.table).scene), task_of(common)
     options = OfflineOptions(arm=common.arm or None, filter=load_filter_settings(common.filter))
     return scene if fidelity is None else scene.with_fidelity(fidelity), task, read_profiles(), options

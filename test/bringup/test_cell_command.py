@@ -8,7 +8,10 @@ import pytest
 from tactile_base.config_paths import config_path
 from tactile_bringup import cell_touching
 from tactile_bringup.cli import main
+from tactile_bringup.experiments.pushing import PLANE, Common, Trial
+from tactile_bringup.experiments.pushing_plane import Batch, plane_rows
 from tactile_geometry import se3
+from tactile_records.calibrating.results import pose_values
 from tactile_scene.scene_file import load_scene
 
 OFF = ", in_tool: {position: [0.0014, -0.0014, 0.065], rotation_deg: [0, 0, 5]}"
@@ -75,6 +78,27 @@ def test_a_sensor_turned_by_5_degrees_is_found_and_written_where_its_tip_stays(t
     assert all(abs(x - said) < 3.0 * s for x, said, s in zip(found, (0.0, 0.0, 5.0), sigma, strict=True))
     assert numbers["contacts"] == 11 and not numbers["agrees"] and max(sigma) < 0.8
     assert se3.euler_from_pose(where)[5] == pytest.approx(np.radians(found[2]), abs=0.002)
+
+
+def pushed(angle, offset):
+    """Sizes of the final errors (mm) of our steering with a sensor that is turned and shifted by so much."""
+    mounted = ("contact_angle", angle), ("contact_offset", offset)
+    common = Common("single", "tuned", PLANE)
+    trials = tuple(Trial(common, "blue_square", "mdf", number, mounted) for number in range(10))
+    return np.array([row["error_abs_mm"] for row in plane_rows(Batch(trials))])
+
+
+def test_what_both_leave_of_3_degrees_and_1_mm_steers_a_push_to_half_a_millimetre(tmp_path):
+    said = load_scene("plane").arms["arm"].sensor.T_tool_sensor
+    T = said @ se3.pose_from_euler([0.0, 1e-3, 0.0, -np.radians(3.0), 0.0, 0.0])  # x points down in a push
+    path, run = table(tmp_path, f", in_tool: {pose_values(T)}"), tmp_path / "run.npz"
+    cell_touching.simulated(load_scene(path), "arm", "mounting", rest=0.1).save(run)
+    for what in ("tip", "mounting"):
+        assert cell(what, path, tmp_path, "--from", str(run), "--write") == 0
+    now = load_scene(path).arms["arm"].sensor.T_tool_sensor
+    left = se3.euler_from_pose(se3.inverse(now) @ T)
+    assert pushed(-np.degrees(left[3]), 1e3 * left[1]).max() < 0.5
+    assert pushed(3.0, 1.0).min() > 1.0, "without them"
 
 
 @pytest.mark.parametrize(

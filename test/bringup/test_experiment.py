@@ -61,7 +61,8 @@ def test_the_corners_of_every_map_can_be_tried():
     for chosen in load_maps().values():
         places = chosen.places()
         for place in (places[0], places[-1]):
-            check_trial(Trial(Common(chosen.table), chosen.object, chosen.floor, 0, place))
+            common = Common(chosen.table, fidelity=chosen.fidelity)
+            check_trial(Trial(common, chosen.object, chosen.floor, 0, place))
 
 
 def test_a_table_says_mean_and_deviation_beside_the_papers():
