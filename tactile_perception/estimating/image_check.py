@@ -165,7 +165,7 @@ class ImageCheck:
             return ""
         return (
             f"{FOREIGN}: by {novelty:.2f}, must be at most {most:g}: is the model this sensor's, the camera "
-            "as it was in training, and its lens clean?"
+            "as it was in training, its lens clean, and the light the same?"
         )
 
     def remember(self, image: Image) -> None:

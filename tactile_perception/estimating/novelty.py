@@ -9,7 +9,9 @@ pixels of
 
 tells real sensors apart better than a density of the network's features, or than what a subspace of training
 images leaves over (docs/results/perception.md). It cannot tell an image that differs in nothing but how its
-markers lie among each other, and hardly a blur, which the features tell::
+markers lie among each other, and hardly a blur, which the features tell. Nor can it tell another light, where
+levels are kept: each pixel varies by more from contact to contact. But the mean over all pixels varies by a
+few percent, and tells it, if not in a difference to an image of the same light::
 
     novelty = Novelty.fit(images)         # of the training images
     novelty(preprocessor(image))          # 1: the limit, beyond which the image is not believed
@@ -33,6 +35,7 @@ Array = NDArray[np.float32]
 
 FLOOR = np.float32(0.01)  # on each pixel's spread, of 0 to 1: gray levels are rounded, training data finite
 _MARGIN, _RARE, _USUAL = 1.5, 0.995, 0.99
+_LEAST_LIGHT = 0.1  # an image without contact is up to 8 % off where training began 2.5 mm deep (simulated)
 _AT_ONCE, _LATEST = 256, 600  # images
 
 
@@ -51,17 +54,25 @@ class Novelty:
         1.5 times what 99.5 % of the training images stay below, each measured against all others.
     usual : float
         What 99 % of them stay below, as a part of the limit.
+    light : float
+        Logarithm of the factor by which images may be brighter or darker than those of the training are in
+        the mean: 1.5 times what 99.5 % of these stay below, and at least 0.1; infinite where levels tell
+        nothing of the light.
     """
 
     mean: Image
     spread: Image
     limit: float
     usual: float
+    light: float = math.inf
 
     def __call__(self, prepared: Array) -> float:
         """Of the network's input, (size, size) or (1, channels, size, size): 0 and up; foreign above 1."""
         deviation = (prepared.reshape(self._center.shape) - self._center) * self._weight
-        return float(np.vdot(deviation, deviation)) / (deviation.size * self.limit)
+        by_pixels = float(np.vdot(deviation, deviation)) / (deviation.size * self.limit)
+        if math.isinf(self.light):
+            return by_pixels
+        return max(by_pixels, abs(math.log(_level(prepared) / self._level)) / self.light)
 
     def growth(self, novelty: float) -> float:
         """Factor on an estimate's standard deviations: 1 up to what is usual, 2 at the limit."""
@@ -72,12 +83,20 @@ class Novelty:
         return as_input(self.mean)[0]
 
     @cached_property
+    def _level(self) -> float:
+        return _level(self._center)
+
+    @cached_property
     def _weight(self) -> Array:
         return 1.0 / (as_input(self.spread)[0] + FLOOR)
 
     @classmethod
-    def fit(cls, images: Image) -> Novelty:
-        """Of prepared images (N, size, size[, 3]), uint8; `NoveltyError` for fewer than three."""
+    def fit(cls, images: Image, tolerated_light: float = math.inf) -> Novelty:
+        """Of prepared images (N, size, size[, 3]), uint8; `NoveltyError` for fewer than three.
+
+        `tolerated_light` is a lower bound of `light`: what a network was trained to bear. Infinite, as by
+        default, is for images that have been through a threshold.
+        """
         count = len(images)
         if count < 3:
             raise NoveltyError(f"novelty: needs at least three images, has {count}")
@@ -95,12 +114,18 @@ class Novelty:
         limit = _MARGIN * float(np.quantile(scores, _RARE))
         mean, spread = _moments(total, squares, count)
         levels = [np.rint(255.0 * values).astype(np.uint8) for values in (mean, spread)]
-        return cls(levels[0], levels[1], limit, float(np.quantile(scores, _USUAL)) / limit)
+        usual = float(np.quantile(scores, _USUAL)) / limit
+        middle = _level(as_input(levels[0]))
+        off = [abs(math.log(_level(as_input(image)) / middle)) for image in images]
+        rare, common = np.quantile(off, (_RARE, _USUAL))
+        light = float(max(_MARGIN * rare, common / usual, _LEAST_LIGHT, tolerated_light))
+        return cls(levels[0], levels[1], limit, usual, light)
 
     def to_text(self) -> str:
         """As JSON with PNGs in base64, for a model's metadata."""
         images = {"mean": packed(self.mean), "spread": packed(self.spread)}
-        return json.dumps({**images, "limit": self.limit, "usual": self.usual})
+        light = {} if math.isinf(self.light) else {"light": self.light}
+        return json.dumps({**images, "limit": self.limit, "usual": self.usual, **light})
 
     @classmethod
     def from_text(cls, text: str, settings: PreprocessingSettings) -> Novelty:
@@ -109,6 +134,7 @@ class Novelty:
             values = parse_json(text)
             mean, spread = (unpacked(values[name], name, settings.color) for name in ("mean", "spread"))
             limit, usual = float(values["limit"]), float(values["usual"])
+            light = float(values.get("light", math.inf))  # models from before do not tell it
         except (ImageError, ValueError, TypeError, KeyError) as error:
             raise NoveltyError(f"novelty: must hold mean, spread, limit and usual: {error!r}") from error
         shape = (settings.size, settings.size, 3)[: 2 + settings.color]
@@ -118,7 +144,9 @@ class Novelty:
             )
         if not (0.0 < limit < np.inf and 0.0 < usual < 1.0):
             raise NoveltyError(f"novelty: limit is {limit}, usual {usual}: must be positive, usual below 1")
-        return cls(mean, spread, limit, usual)
+        if not light > 0.0:
+            raise NoveltyError(f"novelty: light is {light}: must be positive")
+        return cls(mean, spread, limit, usual, light)
 
 
 class NoveltyDrift:
@@ -145,8 +173,13 @@ class NoveltyDrift:
             return ""
         return (
             f"images have become unlike those of the training: by {self.mean:.2f} in the mean, usual is up "
-            f"to {usual:.2f}, and 1 is refused: is the lens clean, and the camera where it was?"
+            f"to {usual:.2f}, and 1 is refused: is the lens clean, and are camera and light as they were?"
         )
+
+
+def _level(prepared: Array) -> float:
+    """The mean over all pixels, 0 to 1; above 0."""
+    return max(float(prepared.mean()), 1e-6)
 
 
 def _moments(total: NDArray, squares: NDArray, count: int) -> tuple[NDArray, NDArray]:

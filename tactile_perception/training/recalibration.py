@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,8 @@ def recalibrate(
     calibration = fit_on(estimator, samples, rows, settings.replaced(**(changes or {})))
     told = metadata.contact_model
     depth = metadata.plain_depth or PlainDepth.fit(samples.images, told.depths(samples.labels_for(told)))
-    novelty = metadata.novelty or Novelty.fit(samples.images)
+    light = math.inf if metadata.preprocessing.binary else 0.0
+    novelty = metadata.novelty or Novelty.fit(samples.images, light)
     changed = dataclasses.replace(metadata, calibration=calibration, plain_depth=depth, novelty=novelty)
     save_model(onnx.load(str(model)), out, changed)
     return calibration, own_session

@@ -270,7 +270,7 @@ class _Run:
             calibration=calibration,
             layout=None if self.data.preprocessing.difference else Layout.of(self.data.training.images),
             plain_depth=PlainDepth.fit(self.data.training.images, model.depths(self.data.training.labels)),
-            novelty=Novelty.fit(self.data.training.images),
+            novelty=Novelty.fit(self.data.training.images, self._tolerated_light()),
             reference=self.data.reference,
             contact_model=model,
         )
@@ -278,6 +278,10 @@ class _Run:
         self.network.to("cpu")
         export_onnx(self.network, folder.file(MODEL_NAME), metadata, sigma)
         return validation
+
+    def _tolerated_light(self) -> float:
+        """What the network has borne in training of a change of light; infinite behind a threshold."""
+        return math.inf if self.data.preprocessing.binary else 2.0 * self.config.augmentation.gain
 
     def _calibration(self) -> Calibration:
         """Fitted on the held-out samples; the identity where there are none or no uncertainty."""

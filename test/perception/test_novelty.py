@@ -91,6 +91,58 @@ def test_deviations_grow_from_what_is_usual_on(own):
     assert own.growth(0.5 * (1.0 + own.usual)) == pytest.approx(1.5)
 
 
+LEVELS = Preprocessor(PreprocessingSettings(threshold_method="none"))
+
+
+def lit(count, seed, gain=1.0):
+    """Prepared images (count, 128, 128) of contacts with their levels, by a camera of that gain."""
+    images = contacts(count, seed, camera={"gain": gain})
+    return np.array([LEVELS.resized(LEVELS.processed(image)) for image in images])
+
+
+@pytest.fixture(scope="module")
+def of_levels():
+    return lit(150, seed=1)
+
+
+@pytest.mark.parametrize("gain", [0.8, 1.25])
+def test_another_light_is_foreign_where_levels_are_kept(of_levels, gain):
+    def novelties(measure, images):
+        return np.array([measure(as_input(image)) for image in images])
+
+    told = Novelty.fit(of_levels, 0.0)
+    assert novelties(told, lit(30, seed=2)).max() < 1.0 < novelties(told, lit(30, seed=2, gain=gain)).min()
+    borne = Novelty.fit(of_levels, 2 * 0.15)
+    assert borne.light == 0.3 and novelties(borne, lit(30, seed=2, gain=gain)).max() < 1.0
+    without = Novelty.fit(of_levels)
+    assert np.isinf(without.light) and novelties(without, lit(30, seed=2, gain=gain)).max() < 1.0
+
+
+def test_99_of_100_training_images_have_the_usual_light(of_levels):
+    novelty = Novelty.fit(of_levels, 0.0)
+    level = as_input(of_levels).mean(axis=(1, 2, 3))
+    off = np.abs(np.log(level / level.mean())) / novelty.light
+    assert (off <= novelty.usual).mean() >= 0.98 and off.max() < 1.0
+
+
+def test_images_that_are_all_alike_leave_room_for_one_without_contact(of_levels):
+    assert Novelty.fit(of_levels[:3], 0.0).light >= 0.1
+
+
+def test_the_light_is_in_the_model_file(of_levels):
+    novelty = Novelty.fit(of_levels, 0.0)
+    settings = LEVELS.settings
+    again = Novelty.from_text(novelty.to_text(), settings)
+    bright = as_input(lit(1, seed=3, gain=1.25)[0])
+    assert again.light == novelty.light and again(bright) == novelty(bright) > 1.0
+    values = json.loads(novelty.to_text())
+    for wrong in (0.0, -1.0, float("nan"), "dim"):
+        with pytest.raises(NoveltyError, match="novelty: "):
+            Novelty.from_text(json.dumps(values | {"light": wrong}), settings)
+    del values["light"]
+    assert np.isinf(Novelty.from_text(json.dumps(values), settings).light), "of a model from before"
+
+
 def test_it_stays_the_same_in_a_model_file(own):
     again = Novelty.from_text(own.to_text(), PREPARE.settings)
     images = contacts(3, seed=5)
