@@ -37,6 +37,7 @@ COMMANDS = {
     "camera": (f"{_HERE}.camera", "find a sensor's camera, look through it, check it, write it into a scene"),
     "cell": (f"{_HERE}.cell", "calibrate camera time, tip and mounting of a real cell by touch"),
     "data": (f"{_HERE}.data", "make, import and check data sets"),
+    "sensor": (f"{_HERE}.sensor", "learn a new sensor: contacts and networks until a promise is kept"),
     "security": (f"{_HERE}.security", "write who may say what, for DDS security"),
     "arm": (f"{_HERE}.arm", "check an arm before its first contact"),
     "plugins": (f"{_HERE}.plugins", "what plugs in by name, and whether it loads"),

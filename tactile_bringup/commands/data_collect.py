@@ -8,8 +8,10 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -38,6 +40,9 @@ from tactile_scene.scene_file import load_scene
 
 if TYPE_CHECKING:
     from tactile_bringup.launching.launcher import Outcome
+
+
+LOOK = 1.0  # s, between two looks whether there is enough
 
 
 def register(commands: Any) -> None:
@@ -74,25 +79,54 @@ class Plan:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    console, status = lasting_console(), 0
-    plan = make_plan(arguments)
-    say(console, f"{plan.missing} of {plan.samples} samples are missing")
-    if plan.missing:
-        status = _launch(plan, arguments, console).exit_code
-        if status:
-            say(console, "the same command goes on from here")
+    console = lasting_console()
+    status = collected(arguments, console)
     say(console, "\n".join(_contents(arguments.out)))
     return status
 
 
-def _launch(plan: Plan, arguments: argparse.Namespace, console: Console) -> Outcome:
+def collected(
+    arguments: argparse.Namespace, console: Console, enough: Callable[[], bool] = lambda: False
+) -> int:
+    """Make the samples that are missing, or some of them until `enough` says so; returns the exit code."""
+    plan = make_plan(arguments)
+    say(console, f"{arguments.out}: {plan.missing} of {plan.samples} samples are missing")
+    if not plan.missing or enough():
+        return 0
+    outcome, ended_by_us = _launch(plan, arguments, console, enough)
+    if ended_by_us:
+        return 0
+    if outcome.exit_code:
+        say(console, "the same command goes on from here")
+    return outcome.exit_code
+
+
+def _launch(
+    plan: Plan, arguments: argparse.Namespace, console: Console, enough: Callable[[], bool]
+) -> tuple[Outcome, bool]:
+    """Run it; whether it was ended since there was enough."""
     from tactile_bringup.launching.launcher import Launcher, Manner
     from tactile_bringup.launching.progress import CollectionDisplay
 
     folder = arguments.logs / f"{time.strftime('%Y%m%d-%H%M%S')}-collect"
     live = console.is_terminal and not arguments.headless
     with CollectionDisplay(console, live, plan.samples) as display:
-        return Launcher(plan.graph, folder.absolute(), display, Manner("data collect")).run()
+        launcher, over = Launcher(plan.graph, folder.absolute(), display, Manner("data collect")), Event()
+        ended_by_us = Event()
+
+        def watch() -> None:
+            while not over.wait(LOOK):
+                if enough():
+                    ended_by_us.set()
+                    launcher.end()
+                    return
+
+        watching = Thread(target=watch, daemon=True)
+        watching.start()
+        outcome = launcher.run()
+        over.set()
+        watching.join()
+        return outcome, ended_by_us.is_set()
 
 
 def _contents(folder: Path) -> list[str]:

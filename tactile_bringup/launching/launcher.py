@@ -121,6 +121,10 @@ class Launcher:
             self._tell(outcome)
         return outcome
 
+    def end(self) -> None:
+        """Have `run` end in order, as by Ctrl-C; from another thread."""
+        self._signals.append(signal.SIGINT)
+
     def _run_processes(self, outcome: Outcome) -> None:
         shared_memory.remove_orphans()  # a port file left by the dead would be taken over with its old state
         started_ns, dead = time.time_ns(), ""

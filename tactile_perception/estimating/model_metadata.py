@@ -29,6 +29,8 @@ INPUT_NAME = "image"
 MEAN, INVERSE_SIGMA, COVARIANCE = "mu", "inverse_sigma", "covariance"
 #: Models in a run folder, the one to take first.
 RUN_MODELS = QUANTIZED_NAME, MODEL_NAME = "model_int8.onnx", "model.onnx"
+#: In the folder of a run, once it is finished.
+RESULT_NAME = "result.json"
 FRAMES = (
     "xi = [rho, phi] = ln(X_sf): the surface feature frame {f} in the sensor frame {s}. {s}: origin at the "
     "center of the hemispherical tip, z out of the tip. {f}: z into the surface, aligned with {s} where the "

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tactile_perception.estimating.model_metadata import RESULT_NAME
 from tactile_perception.training.config import TrainConfig
-from tactile_perception.training.run_folder import RESULT_NAME, STATE_NAME, RunFolder
+from tactile_perception.training.run_folder import STATE_NAME, RunFolder
 
 LOG_NAME = "train.log"
 

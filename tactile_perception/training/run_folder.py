@@ -19,6 +19,7 @@ from tactile_base.input_file import check_regular, parse_json, read_text
 from tactile_base.whole_file import check_folder, whole_file, write_csv
 from tactile_base.yaml_file import values_of
 from tactile_perception.estimating.contact_model import ContactModel
+from tactile_perception.estimating.model_metadata import RESULT_NAME
 from tactile_perception.training.config import TrainConfig
 
 CONFIG_NAME = "config.yaml"
@@ -28,7 +29,6 @@ EPOCHS_NAME = "epochs.csv"
 CURVES_NAME = "curves.png"
 BEST_NAME = "best.pt"
 STATE_NAME = "state.pt"
-RESULT_NAME = "result.json"
 #: Settings that may change when a run is resumed; what a start is, the facts about the data tell.
 _NO_RESULT = {"threads", "max_minutes", "start"}
 

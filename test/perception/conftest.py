@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from folders import write_folder
+from folders import dot_image, write_folder
 
 from tactile_perception.estimating.model_metadata import FRAMES, ModelMetadata, summed
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
@@ -58,15 +58,6 @@ def constant_model(tmp_path: Path, model_metadata) -> Callable[..., Path]:
         return path
 
     return write
-
-
-def dot_image(euler: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A camera image whose one large blob tells x, y (place) and z (size)."""
-    rows, columns = np.mgrid[:480, :640]
-    distance = np.hypot(columns - 327 - 15 * euler[0], rows - 240 - 15 * euler[1])
-    image = 40.0 + 160.0 * (distance < 20 + 12 * euler[2])
-    grid = (rows % 24 < 6) & (columns % 24 < 6)
-    return np.clip(image + 60.0 * grid + rng.normal(0, 3, image.shape), 0, 255).astype(np.uint8)
 
 
 @pytest.fixture(scope="session")

@@ -18,3 +18,12 @@ def write_folder(path: Path, samples: Iterable[tuple[np.ndarray, np.ndarray]]) -
             writer.add(number, image, euler)
         writer.finish()
     return path
+
+
+def dot_image(euler: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A camera image whose one large blob tells x, y (place) and z (size)."""
+    rows, columns = np.mgrid[:480, :640]
+    distance = np.hypot(columns - 327 - 15 * euler[0], rows - 240 - 15 * euler[1])
+    image = 40.0 + 160.0 * (distance < 20 + 12 * euler[2])
+    grid = (rows % 24 < 6) & (columns % 24 < 6)
+    return np.clip(image + 60.0 * grid + rng.normal(0, 3, image.shape), 0, 255).astype(np.uint8)
