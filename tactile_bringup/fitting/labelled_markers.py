@@ -24,6 +24,8 @@ Array = NDArray[Any]
 
 RINGS = 10
 DEPTH_STEPS = (0.7, 0.8, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.1, 6.1)  # mm
+DEEPEST_REST = 1.2  # mm; deeper than that no marker is near where it rests
+SHALLOW = 0.2  # mm beyond the shallowest contact, in which markers are about where they rest
 NEIGHBORS = 18
 REACH = 6.0  # px, about a third of the distance between markers
 CONSISTENT = 4.0  # px between a marker and where its neighbors put it
@@ -64,7 +66,7 @@ def track(folder: Path, samples: int | None = None) -> Tracked:
     Raises
     ------
     ValueError
-        There is no contact less than `DEPTH_STEPS[0]` deep, in which the markers are where they rest.
+        There is no contact less than `DEEPEST_REST` deep, in which the markers are about where they rest.
     """
     data = open_folder(folder)
     data.check_labelled()
@@ -73,12 +75,14 @@ def track(folder: Path, samples: int | None = None) -> Tracked:
         index = np.sort(np.random.default_rng(0).choice(index, samples, replace=False))
     labels = data.euler_mm_deg[index]
     blobs = [detect(data.image(int(i))).centers for i in index]
-    shallow = np.flatnonzero(labels[:, 2] < DEPTH_STEPS[0])
-    if not len(shallow):
-        raise ValueError(f"{folder}: must have contacts less than {DEPTH_STEPS[0]} mm deep, has none")
+    if labels[:, 2].min() > DEEPEST_REST:
+        raise ValueError(f"{folder}: must have contacts less than {DEEPEST_REST} mm deep, has none")
+    first = max(DEPTH_STEPS[0], labels[:, 2].min() + SHALLOW)
+    steps = (first, *(depth for depth in DEPTH_STEPS if depth > first))
+    shallow = np.flatnonzero(labels[:, 2] < first)
     template, ring = ring_template(blobs[shallow[np.argmin(np.hypot(*labels[shallow, :2].T))]])
     features = _features(labels / np.array([5, 5, 6, 25, 25, 5]))
-    positions = _refine(blobs, labels, features, template)
+    positions = _refine(blobs, labels, features, template, steps)
     rest = np.nanmedian(positions[shallow], axis=0)
     for _ in range(PASSES):
         predicted = np.stack(
@@ -105,11 +109,13 @@ def ring_template(centres: Array) -> tuple[Array, Array]:
     return middle + radius[ring, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1), ring
 
 
-def _refine(blobs: list[Array], labels: Array, features: Array, template: Array) -> Array:
-    """Assign blobs to markers from shallow to deep contacts."""
+def _refine(
+    blobs: list[Array], labels: Array, features: Array, template: Array, steps: tuple[float, ...]
+) -> Array:
+    """Assign blobs to markers from shallow to deep contacts, in steps of depth (mm)."""
     predicted = np.tile(template, (len(blobs), 1, 1))
     positions = np.full_like(predicted, np.nan)
-    for step, depth in enumerate(DEPTH_STEPS):
+    for step, depth in enumerate(steps):
         chosen = np.flatnonzero(labels[:, 2] < depth)
         for i in chosen:
             positions[i] = _mutual_nearest(predicted[i], blobs[i], 12 if step == 0 else 9)
