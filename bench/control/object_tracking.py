@@ -6,7 +6,8 @@
     python bench/control/object_tracking.py speed        # 0.5 to 6 times the paper's speed
 
 RMS errors are means over the seeds, with the deviation among them; "largest" is of all seeds. Lags are told
-of runs that ended well, up to the second within which they are searched for.
+of runs that ended well, up to the second within which they are searched for. --picture FILE draws the errors
+of the first seed.
 """
 
 from __future__ import annotations
@@ -16,16 +17,18 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from shared import Table, parser
 
+from tactile_base.stamps import SECOND_NS
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_control.task_file import load_task, task_path
 from tactile_records.runs.euler_poses import COMPONENTS
 from tactile_records.runs.object_tracking import NOT_KEPT, numbers
-from tactile_records.runs.tracking import LONGEST_LAG
+from tactile_records.runs.tracking import LONGEST_LAG, Tracking, tracking
 
 PAPER, OURS = "object_tracking", "object_tracking_tuned"
 FEEDFORWARD, NO_FEEDFORWARD = "follower.task.feedforward=1.0", "follower.task.feedforward=0.0"
@@ -39,6 +42,12 @@ OBJECTS = {
     "flat plate": "tracking_flat", "Rubik's cube": "tracking_cube",
     "mustard bottle": "tracking_mustard", "soft ball": "tracking_ball",
 }  # fmt: skip
+#: Parts of an error: unit, its factor, and which components.
+ERRORS = (
+    ("error along the surface (mm)", 1e3, [0, 1]),
+    ("error along the normal (mm)", 1e3, [2]),
+    ("error of the tilt (deg)", 180.0 / np.pi, [3, 4]),
+)
 SPEEDS = (0.5, 1.0, 2.0, 4.0, 6.0)
 
 # table -> rows: name, scene, task, controller file, settings on top of it
@@ -70,13 +79,13 @@ ROWS: dict[str, list[Row]] = {
 }
 
 
-def runs(row: Row, fidelity: str, seeds: int) -> Iterator[dict]:
-    """The follower's report of each run."""
+def runs(row: Row, fidelity: str, seeds: int) -> Iterator[tuple[dict, Tracking]]:
+    """The follower's report of each run, and how it went along."""
     _, scene, task, controller, changes = row
     loaded = load_task(task_path(task), scene, controller=controller, changes=changes)
     for seed in range(seeds):
         run = run_arms_offline(scene, loaded, OfflineOptions(fidelity=fidelity, seed=seed, time_limit=900.0))
-        yield numbers(run["follower"], run)
+        yield numbers(run["follower"], run), tracking(run["follower"], run["leader"])
 
 
 def spread(values: Sequence[dict[str, float]], components: Sequence[str]) -> str:
@@ -112,6 +121,27 @@ def cells(found: Sequence[dict]) -> list[str]:
     ]
 
 
+def draw(path: Path, tracks: dict[str, Tracking]) -> None:
+    """Errors over time: a column an object, with all its gains."""
+    names = list(dict.fromkeys(name.rpartition(", ")[0] for name in tracks))
+    figure = Figure(figsize=(3.2 * len(names), 6.0), layout="constrained")
+    grid = figure.subplots(len(ERRORS), len(names), squeeze=False, sharex=True, sharey="row")
+    for row, (unit, scale, which) in zip(grid, ERRORS, strict=True):
+        for axes, name in zip(row, names, strict=True):
+            for k, (full, track) in enumerate(each for each in tracks.items() if each[0].startswith(name)):
+                seconds = (track.stamp_ns - track.stamp_ns[0]) / SECOND_NS
+                size = np.linalg.norm(track.error[:, which], axis=1) * scale
+                axes.plot(seconds, size, color=f"C{k}", label=full.rpartition(", ")[2])
+            axes.grid(alpha=0.3)
+        row[0].set_ylabel(unit)
+    for axes, name in zip(grid[0], names, strict=True):
+        axes.set_title(name)
+    for axes in grid[-1]:
+        axes.set_xlabel("time (s)")
+    grid[0, 0].legend()
+    figure.savefig(path, dpi=90)
+
+
 def main() -> None:
     """Print one of the tables."""
     arguments = parser(__doc__ or "")
@@ -119,17 +149,21 @@ def main() -> None:
     arguments.add_argument("--fidelity", choices=("ideal", "fitted", "input", "image"), default="image")
     arguments.add_argument("--seeds", type=int, default=3)
     arguments.add_argument("--only", nargs="+", default=[], help="rows of these names")
+    arguments.add_argument("--picture", type=Path, metavar="FILE", help="of the errors of seed 0 (PNG)")
     given = arguments.parse_args()
     statistic = f"{given.fidelity}, seeds 0 to {given.seeds - 1}"
     heads = ["contact, least", "RMS x, y, z [mm]", "RMS α, β, γ [deg]", "largest x, y, z [mm]",
              "largest α, β, γ [deg]", "lag, in rotation"]  # fmt: skip
     table = Table([given.table, *heads], f"{statistic}; lag in ms")
-    goals = {}
+    goals, tracks = {}, {}
     for row in ROWS[given.table]:
         if not given.only or row[0] in given.only:
-            found = list(runs(row, given.fidelity, given.seeds))
+            found, ways = zip(*runs(row, given.fidelity, given.seeds), strict=True)
+            tracks[row[0]] = ways[0]
             table.row(row[0], *cells(found))
             goals[row[0]] = [values["tracking"]["goals"] for values in found]
+    if given.picture is not None:
+        draw(given.picture, tracks)
     if given.table == "components":
         table = Table(["RMS x, y, z [mm], α, β, γ [deg] while the leader moves along", *goals], statistic)
         for goal in next(iter(goals.values()))[0]:
