@@ -265,6 +265,7 @@ def test_a_network_is_trained_on_colors_quantized_and_asked(tmp_path):
     model = tmp_path / "run" / "model.onnx"
     estimator = Estimator(model)
     assert estimator.metadata.preprocessing.channels == 3 and estimator.metadata.layout is None
+    assert 0.1 <= estimator.metadata.novelty.light < 1.0
     small = quantize(model, training_images(tmp_path / "data", model, 40), tmp_path / "small.onnx")
     data = read_dataset(tmp_path / "data" / "val", estimator.metadata.preprocessing)
     for each in (estimator, Estimator(small)):

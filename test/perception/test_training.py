@@ -99,6 +99,7 @@ def test_exported_model_carries_the_facts_of_its_training(run):
     metadata = Estimator(out / "model.onnx").metadata
     assert metadata.preprocessing.size == 64
     assert 0.0 < metadata.plain_depth.rms < 2e-3
+    assert np.isinf(metadata.novelty.light), "behind a threshold"
     assert metadata.training_data["samples"] == 96 and len(metadata.training_data["sha256"]) == 64
     assert metadata.training["training"]["seed"] == 3
     # Epochs are compared in bf16; what the file says was measured in full precision.
