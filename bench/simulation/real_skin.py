@@ -149,7 +149,7 @@ def sticking(*folders: Path) -> None:
 def friction(*folders: Path) -> None:
     """The friction at which the built-in skin slips as much as a real TacTip does, under its labels."""
     heads = "sensor, z (mm), contacts, friction by the limit of force, by the limit of torque"
-    table = Table(heads.split(", "), f"{HOW}; >: as much as sticks is stuck")
+    table = Table(heads.split(", "), f"{HOW}; <, >: beyond {FRICTIONS[0]} to {FRICTIONS[-1]}")
     for folder in folders:
         track = labelled_markers.track(folder)
         some, others = np.random.default_rng(0).permutation(track.labels)[:4000].reshape(2, -1, 6)
@@ -178,7 +178,8 @@ def slipping(rows: Array) -> list[float]:
 
 def as_friction(found: Array, curve: Array) -> str:
     """A number and the ends of its band as frictions, by what each of `FRICTIONS` makes of it."""
-    value, low, high = (f"{v:.2f}" if v < FRICTIONS[-1] else ">" for v in np.interp(found, curve, FRICTIONS))
+    ends = {FRICTIONS[0]: "<", FRICTIONS[-1]: ">"}
+    value, low, high = (ends.get(v, f"{v:.2f}") for v in np.interp(found, curve, FRICTIONS))
     return f"{value} ({low}, {high})"
 
 
