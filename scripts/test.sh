@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Run pytest on what make installed: test.sh [ARGUMENT OF PYTEST...]. Without arguments the whole suite in a process per
-# core: what runs against the clock, and in as many, giving way to it, all the rest. With RETEST=1 up to sixteen tests against
-# the clock that fail beside others run once more, alone: a machine that somebody else holds up for a second is no defect.
+# core: what runs against the clock, and in as many, giving way to it, all the rest. With RETEST=1 up to sixteen tests of each
+# that fail beside others run once more, alone: a machine that somebody else holds up for a second is no defect.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/env.sh
@@ -13,17 +13,22 @@ fi
 export OMP_NUM_THREADS=1
 mkdir -p log
 . scripts/run_idle.sh
-status=0 live=0
+rest=0 live=0
 suite=(pytest -q --durations=15 --numprocesses auto --maxprocesses 4 --dist loadfile)
-run_idle "${suite[@]}" -m "not live" >log/test.txt 2>&1 &
+# What gives way has more time for each test than pyproject.toml says.
+run_idle "${suite[@]}" -m "not live" -o cache_dir=log/rest -o timeout=1200 -o faulthandler_timeout=1260 >log/test.txt 2>&1 &
 computing=$!
 trap 'kill -- -$computing 2>/dev/null || true' EXIT
 "${suite[@]}" -m live --no-loadscope-reorder -o cache_dir=log/live || live=$?
-finish $computing || status=$?
+finish $computing || rest=$?
 cat log/test.txt
-if [ "${RETEST:-0}" = 1 ] && [ $live = 1 ] && [ "$(grep -c '": true' log/live/v/cache/lastfailed)" -le 16 ]; then
+
+# once_more FOLDER STATUS: whether so few tests have failed, of those whose cache that is.
+once_more() { [ "${RETEST:-0}" = 1 ] && [ "$2" = 1 ] && [ "$(grep -c '": true' "$1/v/cache/lastfailed")" -le 16 ]; }
+alone() {
     printf '\nFailed beside other tests, and run once more, alone:\n'
-    live=0
-    pytest -v -m live -o cache_dir=log/live --last-failed --last-failed-no-failures none || live=$?
-fi
-exit $((status ? status : live))
+    pytest -v -m "$2" -o cache_dir="$1" --last-failed --last-failed-no-failures none
+}
+if once_more log/live $live; then live=0 && alone log/live live || live=$?; fi
+if once_more log/rest $rest; then rest=0 && alone log/rest "not live" || rest=$?; fi
+exit $((rest ? rest : live))

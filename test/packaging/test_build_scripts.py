@@ -339,18 +339,20 @@ def test_what_gives_way_is_finished_like_anything_else_and_its_status_counts(roo
 PYTEST = """#!/usr/bin/env bash
 case "$*" in
     *last-failed*) echo "again" >>calls; exit $AGAIN ;;
-    *"not live"*) exit 0 ;;
-    *) mkdir -p log/live/v/cache; printf '{\\n%s}' "$FAILED" >log/live/v/cache/lastfailed; exit 1 ;;
+    *"$PASSES"*) exit 0 ;;
 esac
+for word; do case $word in cache_dir=*) cache=${word#*=}/v/cache ;; esac; done
+mkdir -p "$cache"; printf '{\\n%s}' "$FAILED" >"$cache/lastfailed"; exit 1
 """
 
 
+@pytest.mark.parametrize("passes", ["not live", "-m live"])
 @pytest.mark.parametrize(
     "retest, failed, again, status, asked",
     [("1", 1, 0, 0, True), ("1", 16, 1, 1, True), ("1", 17, 0, 1, False), ("0", 1, 0, 1, False)],
 )
 def test_few_tests_that_fail_beside_others_run_once_more_where_asked_for(
-    scripts: Path, tmp_path: Path, retest: str, failed: int, again: int, status: int, asked: bool
+    scripts: Path, tmp_path: Path, retest: str, failed: int, again: int, status: int, asked: bool, passes: str
 ):
     programs = tmp_path / ".venv" / "bin"
     programs.mkdir(parents=True)
@@ -358,7 +360,8 @@ def test_few_tests_that_fail_beside_others_run_once_more_where_asked_for(
         (programs / name).write_text(text)
         (programs / name).chmod(0o755)
     names = "".join(f'  "test_{number}": true\n' for number in range(failed))
-    ended = run("scripts/test.sh", cwd=tmp_path, RETEST=retest, FAILED=names, AGAIN=str(again))
+    given = {"RETEST": retest, "FAILED": names, "AGAIN": str(again), "PASSES": passes}
+    ended = run("scripts/test.sh", cwd=tmp_path, **given)
     assert ended.returncode == status, ended.stdout + ended.stderr
     assert (tmp_path / "calls").exists() is asked
     assert ("run once more, alone" in ended.stdout) is asked
