@@ -44,9 +44,9 @@ OBJECTS = {
 }  # fmt: skip
 #: Parts of an error: unit, its factor, and which components.
 ERRORS = (
-    ("error along the surface (mm)", 1e3, [0, 1]),
-    ("error along the normal (mm)", 1e3, [2]),
-    ("error of the tilt (deg)", 180.0 / np.pi, [3, 4]),
+    ("off along the surface (mm)", 1e3, [0, 1]),
+    ("off along the normal (mm)", 1e3, [2]),
+    ("tilt off (deg)", 180.0 / np.pi, [3, 4]),
 )
 SPEEDS = (0.5, 1.0, 2.0, 4.0, 6.0)
 
@@ -124,7 +124,7 @@ def cells(found: Sequence[dict]) -> list[str]:
 def draw(path: Path, tracks: dict[str, Tracking]) -> None:
     """Errors over time: a column an object, with all its gains."""
     names = list(dict.fromkeys(name.rpartition(", ")[0] for name in tracks))
-    figure = Figure(figsize=(3.2 * len(names), 6.0), layout="constrained")
+    figure = Figure(figsize=(3.2 * len(names), 7.0), layout="constrained")
     grid = figure.subplots(len(ERRORS), len(names), squeeze=False, sharex=True, sharey="row")
     for row, (unit, scale, which) in zip(grid, ERRORS, strict=True):
         for axes, name in zip(row, names, strict=True):
