@@ -166,7 +166,8 @@ def _coerce_sequence(field: dataclasses.Field[Any], value: Any) -> tuple[Any, ..
     if length is not None and len(value) != length:
         raise SettingError(f"{field.name}: must have {length} elements, has {len(value)}")
     default: Any = field.default
-    kind = default[0] if default else "" if field.metadata.get("lower") is None else 0.0
+    lower = field.metadata.get("lower")
+    kind = default[0] if default else "" if lower is None else 0 if isinstance(lower, int) else 0.0
     return tuple(_coerce_scalar(f"{field.name}[{k}]", kind, element) for k, element in enumerate(value))
 
 

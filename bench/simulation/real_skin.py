@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from shared import Array, Table, parser
 
-from tactile_bringup.fitting import labelled_markers
+from tactile_perception.markers import labelled
 from tactile_perception.datasets.dataset import open_folder
 from tactile_scene.simulated_sensors import ContactSettings, TacTipSettings
 from tactile_sim.collection import Mounting, SensorFile, load_sensor, press_then_shear
@@ -133,7 +133,7 @@ def contacts(labels: Array, rest: Array, positions: Array) -> Iterator[tuple[int
 
 def sticking(*folders: Path) -> None:
     """Real TacTips, and simulated ones with 2000 of the first one's labels."""
-    tracks = [labelled_markers.track(folder) for folder in folders]
+    tracks = [labelled.track(folder) for folder in folders]
     named = {f.parent.name: (t.labels, t.rest, t.positions) for f, t in zip(folders, tracks, strict=True)}
     labels = np.random.default_rng(0).permutation(tracks[0].labels)[:2000]
     for name, file in SENSORS.items():
@@ -151,7 +151,7 @@ def friction(*folders: Path) -> None:
     heads = "sensor, z (mm), contacts, friction by the limit of force, by the limit of torque"
     table = Table(heads.split(", "), f"{HOW}; <, >: beyond {FRICTIONS[0]} to {FRICTIONS[-1]}")
     for folder in folders:
-        track = labelled_markers.track(folder)
+        track = labelled.track(folder)
         some, others = np.random.default_rng(0).permutation(track.labels)[:4000].reshape(2, -1, 6)
         simulated = [dict(contacts(*with_friction(value, some))) for value in FRICTIONS]
         real = dict(contacts(track.labels, track.rest, track.positions))

@@ -1,6 +1,6 @@
 """The simulated sensor (camera, markers, skin, friction) and a rig's errors, fitted to real images.
 
-Markers are tracked in labelled images (`labelled_markers`), the contacts simulated with their labels, and all
+Markers are tracked in labelled images (`tactile_perception.markers.labelled`), the contacts simulated with their labels, and all
 marker positions fitted by Gauss-Newton on a soft-L1 loss: `tactile fit sensor`.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from tactile_bringup.fitting.labelled_markers import Tracked
+from tactile_perception.markers.labelled import Tracked
 from tactile_scene.simulated_sensors import SkinSettings, TacTipSettings
 from tactile_sim.camera import Camera
 from tactile_sim.collection import Mounting, SensorFile, press_then_shear

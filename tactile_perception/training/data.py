@@ -25,6 +25,7 @@ from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.evaluation.calibration import CalibrationError
 from tactile_perception.training.augmentation import SCALE
 from tactile_perception.training.config import TrainConfig
+from tactile_perception.training.marker_field import MarkerFields
 from tactile_perception.training.run_folder import BEST_NAME, CONFIG_NAME, FACTS_NAME, RunFolder
 from tactile_perception.training.settings import NetworkSettings
 
@@ -72,6 +73,7 @@ class RunData:
     model : what the network is to tell, and what of it the training data label
     start : the network to start from; None: random weights
     reference : the image without contact, where images are compared with it
+    fields : of the markers in the training images, where the network finds them
     """
 
     training: Samples
@@ -84,6 +86,7 @@ class RunData:
     model: ContactModel = SURFACE
     start: Start | None = None
     reference: Image | None = None
+    fields: MarkerFields | None = None
 
     def started(self, start: Start | None) -> RunData:
         """With the network to start from; `SettingError` if it takes images of other colors."""
@@ -102,6 +105,7 @@ def load_data(
     config: TrainConfig,
     limit: int | None = None,
     progress: Callable[[int, int], None] | None = None,
+    following: Callable[[int, int], None] | None = None,
 ) -> RunData:
     """Read the folders; `DatasetError` if they cannot be used or do not fit together."""
     train_dir, validation_dir = data_folders(data_dir, validation_dir, config)
@@ -121,7 +125,7 @@ def load_data(
             f"{train_dir} and {validation_dir} were pre-processed differently: the first has "
             f"{preprocessing.differences(validation.preprocessing)}"
         )
-    return arrange(training, validation, config, preprocessing).started(start)
+    return arrange(training, validation, config, preprocessing, following).started(start)
 
 
 def arrange(
@@ -129,8 +133,9 @@ def arrange(
     validation: TactileDataset | None,
     config: TrainConfig,
     preprocessing: PreprocessingSettings,
+    following: Callable[[int, int], None] | None = None,
 ) -> RunData:
-    """Hold samples back and reduce images to the network's size where that is still to be done.
+    """Hold samples back, follow the markers where the network is to find them, and reduce images to the network's size where that is still to be done.
 
     Without data to validate on, what is held back does that as well.
     """
@@ -161,6 +166,11 @@ def arrange(
             "  note: images without a threshold have the levels of one day's light; augmentation.gain=0.15 "
             "makes a network know others"
         )
+    fields = None
+    if order := config.network.field_order:
+        names = [training.names[i] for i in kept]
+        fields = MarkerFields.of(training.report.folder, preprocessing.bbox[:2], order, names, following)
+        report.append(f"  the markers of {fields.known.sum()} of {len(names)} images were followed")
     return RunData(
         training=samples.taken(kept),
         held_out=samples.taken(held_out),
@@ -171,6 +181,7 @@ def arrange(
         report=report,
         model=model,
         reference=training.reference,
+        fields=fields,
     )
 
 
@@ -243,7 +254,7 @@ class Start:
 
     def check_channels(self, channels: int) -> None:
         """`SettingError` unless it was trained on images of so many colors."""
-        own = self.weights["base.0.0.weight"].shape[1]
+        own = next(iter(self.weights.values())).shape[1]
         if (own % 3 == 0) != (channels == 3):
             colors = ("gray", "color") if channels == 3 else ("color", "gray")
             raise SettingError(

@@ -9,7 +9,7 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
-from torch import nn
+from torch import Tensor, nn
 
 from tactile_base.whole_file import whole_file
 from tactile_perception.estimating.model_metadata import (
@@ -21,8 +21,11 @@ from tactile_perception.estimating.model_metadata import (
     output_shapes,
     summed,
 )
+from tactile_perception.training.convolutions import ConvBlock
 from tactile_perception.training.heads import COMPONENTS_OF_MIXTURE, FullGaussianHead, Head
-from tactile_perception.training.network import ConvBlock, PoseNetwork
+from tactile_perception.training.network import PoseNetwork
+from tactile_perception.training.registration import GAIN, Registration
+from tactile_perception.training.settings import NetworkSettings
 
 OPSET = 17
 IR_VERSION = 8
@@ -43,18 +46,17 @@ def export_onnx(
     sigma : (K,), needed by a network without uncertainty of its own (head mse)
         The standard deviations in mm, rad and N that its file then states for every image.
     """
-    settings = network.settings
-    graph = GraphWriter()
-    last = INPUT_NAME
-    for index, block in enumerate(network.base):
-        assert isinstance(block, ConvBlock)
-        stride = settings.first_stride if index == 0 else 1
-        last = graph.block(f"block{index + 1}", last, *_folded(block, stride), stride, block.pooled)
-    last = graph.node("Flatten", [last], "features", axis=1)
+    settings, graph = network.settings, GraphWriter()
+    if isinstance(network.base, Registration):
+        last = _write_registration(graph, network.base, settings)
+    else:
+        last = _write_blocks(graph, "", INPUT_NAME, network.base, settings)
+    for index, layer in enumerate(part for part in network.hidden if isinstance(part, nn.Linear)):
+        last = graph.linear(f"hidden{index + 1}", last, layer.weight, layer.bias)
+        sigmoid = graph.node("Sigmoid", [last], f"{last}.sigmoid")
+        last = graph.node("Mul", [last, sigmoid], f"{last}.silu")
     head = network.head
-    weight = graph.constant("head.weight", (head.gain * head.weight.detach()).numpy())
-    bias = graph.constant("head.bias", head.bias.detach().numpy())
-    last = graph.node("Gemm", [last, weight, bias], "head", transB=1)
+    last = graph.linear("head", last, head.gain * head.weight, head.bias)
     second = write_head(graph, last, network.distribution, sigma)
     model = graph.model(
         network.channels, settings.image_size, (MEAN, second), network.distribution.model.size
@@ -72,6 +74,39 @@ def save_model(model: onnx.ModelProto, path: Path | str, metadata: ModelMetadata
     with whole_file(path) as temporary:
         temporary.write_bytes(summed(model.SerializeToString()))
     return path
+
+
+def _write_blocks(
+    graph: GraphWriter, prefix: str, source: str, blocks: nn.Sequential, settings: NetworkSettings
+) -> str:
+    """From images to flat features; returns their name."""
+    for index, block in enumerate(blocks):
+        assert isinstance(block, ConvBlock)
+        stride = settings.first_stride if index == 0 else 1
+        source = graph.block(
+            f"{prefix}block{index + 1}", source, *_folded(block, stride), stride, block.pooled
+        )
+    return graph.node("Flatten", [source], f"{prefix}features", axis=1)
+
+
+def _write_registration(graph: GraphWriter, base: Registration, settings: NetworkSettings) -> str:
+    """From images to the markers' displacement fields, as `Registration.forward`."""
+    size, features = base.size, _write_blocks(graph, "coarse.", INPUT_NAME, base.first, settings)
+    coarse = graph.linear("coarse", features, GAIN * base.coarse.weight, base.coarse.bias)
+    pairs = graph.reshape(coarse, (-1, base.coarse_count, 2), "coarse.pairs")
+    parts = graph.node("Transpose", [pairs], "coarse.parts", perm=[0, 2, 1])
+    dense = graph.constant("shift.polynomials", base.dense.numpy())
+    shift = graph.node("MatMul", [parts, dense], "shift.crop")
+    shift = graph.node("Transpose", [shift], "shift.pixels", perm=[0, 2, 1])
+    shift = graph.node("Mul", [shift, graph.constant("shift.pixel", base.pixel.numpy())], "shift")
+    grid = graph.node("Add", [shift, graph.constant("rest", base.rest.numpy())], "grid.flat")
+    grid = graph.reshape(grid, (-1, size, size, 2), "grid")
+    back = graph.node("GridSample", [INPUT_NAME, grid], "pulled_back", mode="bilinear", align_corners=0)
+    features = _write_blocks(graph, "fine.", back, base.second, settings)
+    rest = graph.linear("fine", features, GAIN * base.fine.weight, base.fine.bias)
+    places = graph.constant("coarse.places", np.eye(base.coarse.out_features, base.fine.out_features))
+    known = graph.node("MatMul", [coarse, places], "coarse.field")
+    return graph.node("Add", [rest, known], "field")
 
 
 def _folded(block: ConvBlock, stride: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -112,6 +147,14 @@ class GraphWriter:
         """Cut `source` along an axis."""
         lengths = self.constant(f"{source}.split", np.array(sizes, dtype=np.int64))
         self.nodes.append(helper.make_node("Split", [source, lengths], outputs, axis=axis))
+
+    def linear(self, name: str, source: str, weight: Tensor, bias: Tensor) -> str:
+        """A fully connected layer."""
+        parameters = [
+            self.constant(f"{name}.{part}", value.detach().numpy())
+            for part, value in (("weight", weight), ("bias", bias))
+        ]
+        return self.node("Gemm", [source, *parameters], name, transB=1)
 
     def reshape(self, source: str, shape: tuple[int, ...], output: str) -> str:
         name = "shape." + "x".join(map(str, shape))

@@ -19,6 +19,9 @@ class TrainingProgress:
     def loading(self, done: int, total: int) -> None:
         """Images read so far."""
 
+    def following(self, done: int, total: int) -> None:
+        """Images so far whose markers were followed."""
+
     def learning(self, model: ContactModel) -> None:
         """What the network is to tell, and what of it is labelled."""
 
@@ -44,12 +47,17 @@ class TrainingDisplay(Progress, TrainingProgress):
 
     def learning(self, model: ContactModel) -> None:
         self.finish("loading")
+        self.finish("following markers")
         self._model = model
         if model.unknown:
             self.say(model.says_unknown())
 
     def loading(self, done: int, total: int) -> None:
         self.update("loading", done, total, "images")
+
+    def following(self, done: int, total: int) -> None:
+        self.finish("loading")
+        self.update("following markers", done, total, "images")
 
     def start(self, epochs: int, steps: int, loss_name: str, epochs_done: int) -> None:
         self._steps, self._epochs, self._loss_name = steps, epochs, loss_name

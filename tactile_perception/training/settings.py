@@ -37,6 +37,17 @@ class NetworkSettings(Settings):
         upper=10,
         doc="so many of the last blocks have no max-pool, which leaves a larger map; the paper's: 0",
     )
+    field_order: int = setting(
+        0,
+        lower=0,
+        upper=12,
+        doc="the network first finds the markers' displacement field, in Zernike polynomials of this order; "
+        "for rings of 331 markers, that are followed in the training images; 0: without, as the paper",
+    )
+    hidden: tuple[int, ...] = setting(
+        (), lower=1, upper=65536,
+        doc="features of each fully connected layer (SiLU) between blocks and outputs; the paper's: none",
+    )  # fmt: skip
     batch_norm_momentum: float = setting(
         0.01, lower=1e-4, upper=1.0, doc="weight of a batch in the running statistics (0.01: Keras's default)"
     )
@@ -127,6 +138,16 @@ class TrainingSettings(Settings):
     )
     patience: int = setting(
         25, lower=1, upper=10000, doc="epochs without a better validation loss before stopping early"
+    )
+    field_weight: float = setting(
+        20.0, lower=0.0, upper=1e6, doc="weight of the markers' field in the loss, where the network finds it"
+    )
+    field_noise: float = setting(
+        0.1,
+        lower=0.0,
+        upper=10.0,
+        doc="the last layers also learn from the fields that were followed, with errors of this deviation, "
+        "in parts of a field's own",
     )
     average_decay: float = setting(
         0.0,

@@ -27,12 +27,15 @@ from tactile_perception.training.data import RunData, Samples, check_samples, lo
 from tactile_perception.training.export import export_onnx
 from tactile_perception.training.network import PoseNetwork, WeightAverage
 from tactile_perception.training.progress import TimeLeft, TrainingProgress
+from tactile_perception.training.registration import FieldTargets, Registration
 from tactile_perception.training.run_folder import Epoch, RunFolder, TrainResult
 from tactile_perception.training.settings import learning_rate
 from tactile_perception.training.symmetry import SymmetryAxis
 
 __all__ = ["Epoch", "TrainConfig", "TrainResult", "TrainingProgress", "train"]
 _EVALUATION_BATCH = 100
+#: The last layers see so many fields as they were followed for each image: these cost next to nothing.
+FIELDS_A_SAMPLE = 8
 
 
 def train(
@@ -62,7 +65,7 @@ def train(
     progress = progress or TrainingProgress()
     folder = RunFolder(out_dir)
     folder.check_free()  # before the images are read
-    data = load_data(Path(data_dir), validation_dir, config, limit, progress.loading)
+    data = load_data(Path(data_dir), validation_dir, config, limit, progress.loading, progress.following)
     return train_network(data, folder, config, progress)
 
 
@@ -144,6 +147,7 @@ class _Run:
         self.images = torch.from_numpy(data.training.images).to(self.device)
         self.labels = torch.from_numpy(data.training.labels.astype(np.float32)).to(self.device)
         self.network.start_from(self.labels.cpu())
+        self.fields = self._place_fields()
         if data.start is not None:
             data.start.give(self.network)
         self.network.to(self.device).to(memory_format=self.layout)  # type: ignore[call-overload]
@@ -193,7 +197,7 @@ class _Run:
             if within == 0:
                 order = rng.permutation(len(self.images))
             chosen = order[within * settings.batch_size : (within + 1) * settings.batch_size]
-            loss = self._loss(*self._batch(chosen, moment, rng))
+            loss = self._step_loss(chosen, moment, rng)
             self.optimizer.zero_grad(set_to_none=True)
             loss.backward()
             self.optimizer.step()
@@ -210,25 +214,54 @@ class _Run:
         """Whether all weights are finite; once one is not, no step brings it back."""
         return all(bool(torch.isfinite(weight).all()) for weight in self.network.parameters())
 
-    def _batch(
-        self, chosen: NDArray[np.int64], moment: float, rng: np.random.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """Images, uint8, and labels of some samples, augmented where that is asked for."""
-        index = torch.from_numpy(chosen).to(self.device)
-        labels = self.labels[index]
-        plain_from = self.config.training.epochs - self.config.augmentation.plain_epochs
-        if self.augmenter is None or moment >= plain_from:
-            return self.images[index], labels
-        images, turns = self.augmenter(chosen, rng)
-        if self.axis is not None:
-            labels = self.axis(labels, torch.from_numpy(turns).to(self.device))
-        return torch.from_numpy(images).to(self.device), labels
+    def _step_loss(self, chosen: NDArray[np.int64], moment: float, rng: np.random.Generator) -> Tensor:
+        """Loss on some samples, augmented where that is asked for."""
+        settings, samples = self.config.training, torch.from_numpy(chosen).to(self.device)
+        images, turns = self.images[samples], np.zeros(len(chosen), np.int64)
+        augmented = moment < settings.epochs - self.config.augmentation.plain_epochs
+        if self.augmenter is not None and augmented:
+            changed, turns = self.augmenter(chosen, rng)
+            images = torch.from_numpy(changed).to(self.device)
+        labels = self._labels(samples, turns)
+        if self.fields is None:
+            with self._autocast():
+                raw = self.network(self._input(images))
+            return self.network.distribution.loss(labels, raw)
+        with self._autocast():
+            coarse, fine = self.network.base.looks(self._input(images))
+        wanted = self.fields(samples, turns)
+        loss = self.network.distribution.loss(labels, self.network.answer(fine))
+        for found in (coarse, fine):
+            error = found - wanted[:, : found.shape[1]]
+            loss = loss + settings.field_weight * torch.nan_to_num(error).square().mean()
+        return loss + self._loss_of_fields(augmented, rng)
 
-    def _loss(self, images: Tensor, labels: Tensor) -> Tensor:
+    def _loss_of_fields(self, augmented: bool, rng: np.random.Generator) -> Tensor:
+        """Loss of the last layers on fields that were followed in many images, with errors as the base's."""
+        assert self.fields is not None
+        settings, order = self.config.training, self.config.augmentation.symmetry if augmented else 1
+        chosen = rng.choice(self.fields.known, FIELDS_A_SAMPLE * settings.batch_size)
+        samples = torch.from_numpy(chosen).to(self.device)
+        turns = rng.integers(0, order, len(chosen))
+        fields = self.fields(samples, turns)
+        fields = fields + settings.field_noise * torch.randn_like(fields)
+        return self.network.distribution.loss(self._labels(samples, turns), self.network.answer(fields))
+
+    def _labels(self, samples: Tensor, turns: NDArray[np.int64]) -> Tensor:
+        labels = self.labels[samples]
+        return labels if self.axis is None else self.axis(labels, torch.from_numpy(turns).to(self.device))
+
+    def _autocast(self) -> torch.autocast:
         enabled = self.config.training.precision == "bf16"
-        with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=enabled):
-            raw = self.network(self._input(images))
-        return self.network.distribution.loss(labels, raw)
+        return torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=enabled)
+
+    def _place_fields(self) -> FieldTargets | None:
+        """What the network's base is to find; its disc and scale come from there."""
+        base, fields = self.network.base, self.data.fields
+        if not isinstance(base, Registration) or fields is None:
+            return None
+        base.place(fields, self.data.preprocessing.crop_shape, self.config.augmentation.symmetry)
+        return FieldTargets(fields, base, self.config.augmentation.symmetry, self.device)
 
     def evaluate(self, samples: Samples, precision: str = "fp32") -> tuple[float, NDArray[np.float64]]:
         """Loss and MAE (K,) of the network as it is; NaN where nothing is labelled."""

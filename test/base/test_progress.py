@@ -110,7 +110,7 @@ def test_what_comes_in_lots_adds_up(clock):
 
 def test_on_a_terminal_there_are_bars_that_go_away_and_lines_that_stay():
     text = io.StringIO()
-    console = Console(file=text, force_terminal=True, width=100)
+    console = Console(file=text, force_terminal=True, width=100, _environ={"TERM": "xterm"})
     with Progress(console) as progress:
         progress.update("loading", 3, 4, "images")
         progress.finish("loading")

@@ -7,7 +7,7 @@ import pytest
 
 from tactile_bringup.cli import main
 from tactile_bringup.fitting import network_error
-from tactile_bringup.fitting.labelled_markers import Tracked, track
+from tactile_perception.markers.labelled import Tracked, track
 from tactile_bringup.fitting.network_error import Contacts
 from tactile_bringup.fitting.sensor import PARAMETERS, Fit, improve, loss, write
 from tactile_geometry import se3
@@ -79,7 +79,7 @@ def test_markers_of_labelled_images_are_told_apart(folder):
 def test_a_folder_without_shallow_contacts_is_refused_before_anything_is_written(
     tmp_path, folder, capsys, monkeypatch
 ):
-    monkeypatch.setattr("tactile_bringup.fitting.labelled_markers.DEEPEST_REST", 0.01)
+    monkeypatch.setattr("tactile_perception.markers.labelled.DEEPEST_REST", 0.01)
     assert main(["fit", "sensor", str(folder), "--out", str(tmp_path / "s.yaml"), "--tracked", "3"]) == 1
     assert "must have contacts less than 0.01 mm deep" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "s.yaml").exists()

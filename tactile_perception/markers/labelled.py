@@ -9,6 +9,7 @@ slipped as well as those that stuck.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,8 +61,13 @@ class Tracked:
         return np.random.default_rng(seed).choice(good, min(count, len(good)), replace=False)
 
 
-def track(folder: Path, samples: int | None = None) -> Tracked:
-    """Track the markers of up to `samples` images of a folder, chosen at random.
+def track(
+    folder: Path,
+    samples: int | None = None,
+    names: list[str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Tracked:
+    """Track the markers of a folder's images: of up to `samples`, chosen at random, or of those named.
 
     Raises
     ------
@@ -71,10 +77,19 @@ def track(folder: Path, samples: int | None = None) -> Tracked:
     data = open_folder(folder)
     data.check_labelled()
     index = np.arange(len(data))
+    if names is not None:
+        places = {name: i for i, name in enumerate(data.names)}
+        index = np.array([places[name] for name in names])
     if samples is not None and samples < len(index):
         index = np.sort(np.random.default_rng(0).choice(index, samples, replace=False))
     labels = data.euler_mm_deg[index]
-    blobs = [detect(data.image(int(i))).centers for i in index]
+    images = (data.image(int(i)) for i in index)
+    offset = np.zeros(2)
+    blobs = []
+    for image in images:
+        blobs.append(detect(image).centers)
+        if image.shape[:2] == data.preprocessing.crop_shape:
+            offset = np.array(data.preprocessing.bbox[:2])
     if labels[:, 2].min() > DEEPEST_REST:
         raise ValueError(f"{folder}: must have contacts less than {DEEPEST_REST} mm deep, has none")
     first = max(DEPTH_STEPS[0], labels[:, 2].min() + SHALLOW)
@@ -84,12 +99,14 @@ def track(folder: Path, samples: int | None = None) -> Tracked:
     features = _features(labels / np.array([5, 5, 6, 25, 25, 5]))
     positions = _refine(blobs, labels, features, template, steps)
     rest = np.nanmedian(positions[shallow], axis=0)
-    for _ in range(PASSES):
+    for number in range(PASSES):
         predicted = np.stack(
             [_regressed(features, positions[:, m], np.arange(len(index))) for m in range(len(rest))], axis=1
         )
-        positions = np.array([_grow(b, rest, p) for b, p in zip(blobs, predicted, strict=True)])
-    offset = np.array(data.preprocessing.bbox[:2])
+        for i, (seen, expected) in enumerate(zip(blobs, predicted, strict=True)):
+            positions[i] = _grow(seen, rest, expected)
+            if progress is not None:
+                progress(number * len(index) + i + 1, PASSES * len(index))
     return Tracked(labels, rest + offset, positions + offset, ring)
 
 

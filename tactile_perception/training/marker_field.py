@@ -1,0 +1,145 @@
+"""The displacement field of an image's markers, in polynomials on the disc where they rest.
+
+Zernike's polynomials: orthonormal on a disc, few where the field is smooth, and closed under turns, so that
+the field of a turned image is a matrix times that of the image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from math import factorial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_perception.datasets.dataset import DatasetError
+from tactile_perception.markers.labelled import track
+from tactile_perception.training.symmetry import turn
+
+Array = NDArray[np.float64]
+
+#: Part of the markers that must have been found for an image to tell its field.
+LEAST_FOUND = 0.9
+_MARGIN = 1.02  # of the disc around the outermost marker
+
+
+def orders(order: int) -> NDArray[np.int64]:
+    """(F, 2) radial order n <= `order` and azimuthal order m of each polynomial."""
+    pairs = [(n, m) for n in range(order + 1) for m in range(n % 2, n + 1, 2)]
+    return np.array([pair for pair in pairs for _ in range(2 if pair[1] else 1)])
+
+
+def polynomials(points: Array, order: int) -> Array:
+    """Zernike's polynomials (P, F) up to a radial order at points (P, 2) of the unit disc.
+
+    Outside, where they would grow without bounds, they are as on its rim.
+    """
+    radius = np.minimum(np.hypot(*points.T), 1.0)
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    columns = []
+    for n in range(order + 1):
+        for m in range(n % 2, n + 1, 2):
+            radial = np.sqrt(n + 1.0) * _radial(n, m, radius)
+            if m == 0:
+                columns.append(radial)
+            else:
+                columns += [np.sqrt(2.0) * radial * np.cos(m * azimuth)]
+                columns += [np.sqrt(2.0) * radial * np.sin(m * azimuth)]
+    return np.stack(columns, axis=1)
+
+
+def _radial(n: int, m: int, radius: Array) -> Array:
+    total = np.zeros_like(radius)
+    for k in range((n - m) // 2 + 1):
+        below = factorial(k) * factorial((n + m) // 2 - k) * factorial((n - m) // 2 - k)
+        total += (-1) ** k * factorial(n - k) / below * radius ** (n - 2 * k)
+    return total
+
+
+@lru_cache(maxsize=512)
+def turned(order: int, angle: float) -> Array:
+    """(2 F, 2 F): what a turn of the image by `angle` (rad, from x to y) makes of a field's numbers."""
+    rng = np.random.default_rng(0)
+    radius, azimuth = np.sqrt(rng.random(1000)), 2.0 * np.pi * rng.random(1000)
+    points = radius[:, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+    rotation = turn(angle)
+    scalars = np.linalg.lstsq(polynomials(points, order), polynomials(points @ rotation, order), rcond=None)[
+        0
+    ]
+    return np.kron(scalars, rotation)
+
+
+@dataclass(frozen=True)
+class MarkerFields:
+    """Fields of a data set's images.
+
+    Attributes
+    ----------
+    center, radius : of the disc, (2,) and a number, in pixels of the crop
+    values : (N, F, 2) displacements along columns and rows, pixels of the crop; NaN where it is not known
+    """
+
+    center: Array
+    radius: float
+    values: NDArray[np.float32]
+
+    @classmethod
+    def of(
+        cls,
+        folder: Path,
+        origin: tuple[float, ...],
+        order: int,
+        names: list[str],
+        progress: Callable[[int, int], None] | None = None,
+    ) -> MarkerFields:
+        """Track the markers of a folder's images; `DatasetError` where that does not succeed.
+
+        `origin`: of the crop in the camera image.
+        """
+        try:
+            tracked = track(folder, names=names, progress=progress)
+        except ValueError as error:
+            raise DatasetError(f"network.field_order = {order}: {error}") from error
+        rest = tracked.rest - np.array(origin)
+        center = rest.mean(axis=0)
+        radius = _MARGIN * float(np.linalg.norm(rest - center, axis=1).max())
+        basis = polynomials((rest - center) / radius, order)
+        moved = tracked.positions - tracked.rest
+        values = np.full((len(moved), basis.shape[1], 2), np.nan, np.float32)
+        for image in np.flatnonzero(tracked.found >= LEAST_FOUND):
+            seen = np.isfinite(moved[image, :, 0])
+            values[image] = np.linalg.lstsq(basis[seen], moved[image, seen], rcond=None)[0]
+        fields = cls(center, radius, values)
+        if fields.known.mean() < 0.5:
+            raise DatasetError(
+                f"network.field_order = {order}: {folder}: the markers could be followed in "
+                f"{fields.known.sum()} of {len(names)} images only, needs half of them; set it to 0, for a "
+                "network that does without"
+            )
+        return fields
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(N,)"""
+        return np.asarray(np.isfinite(self.values[:, 0, 0]))
+
+    def mean_and_scale(self, order: int, symmetry: int) -> tuple[Array, Array]:
+        """Mean (F, 2) over images turned by multiples of 1 / symmetry, and a deviation (F,).
+
+        That is over images as they are, but one for all the numbers that a turn mixes.
+        """
+        values = self.values[self.known].astype(np.float64)
+        variance = values.var(axis=0).mean(axis=1)
+        kinds = orders(order)
+        for kind in np.unique(kinds, axis=0):
+            same = (kinds == kind).all(axis=1)
+            variance[same] = variance[same].mean()
+        angles = 2.0 * np.pi * np.arange(symmetry) / symmetry
+        maps = np.mean([turned(order, float(angle)) for angle in angles], axis=0)
+        return (maps @ values.mean(axis=0).ravel()).reshape(-1, 2), np.sqrt(variance)
+
+    def taken(self, chosen: NDArray[np.int64]) -> MarkerFields:
+        return MarkerFields(self.center, self.radius, self.values[chosen])
