@@ -90,23 +90,18 @@ def _write_blocks(
 
 
 def _write_registration(graph: GraphWriter, base: Registration, settings: NetworkSettings) -> str:
-    """From images to the markers' displacement fields, as `Registration.forward`."""
+    """From images to the modes of the markers' displacement field, as `Registration.forward`."""
     size, features = base.size, _write_blocks(graph, "coarse.", INPUT_NAME, base.first, settings)
     coarse = graph.linear("coarse", features, GAIN * base.coarse.weight, base.coarse.bias)
-    pairs = graph.reshape(coarse, (-1, base.coarse_count, 2), "coarse.pairs")
-    parts = graph.node("Transpose", [pairs], "coarse.parts", perm=[0, 2, 1])
-    dense = graph.constant("shift.polynomials", base.dense.numpy())
-    shift = graph.node("MatMul", [parts, dense], "shift.crop")
-    shift = graph.node("Transpose", [shift], "shift.pixels", perm=[0, 2, 1])
-    shift = graph.node("Mul", [shift, graph.constant("shift.pixel", base.pixel.numpy())], "shift")
+    shift = graph.node("MatMul", [coarse, graph.constant("shifts", base.shifts.numpy())], "shift")
     grid = graph.node("Add", [shift, graph.constant("rest", base.rest.numpy())], "grid.flat")
     grid = graph.reshape(grid, (-1, size, size, 2), "grid")
     back = graph.node("GridSample", [INPUT_NAME, grid], "pulled_back", mode="bilinear", align_corners=0)
     features = _write_blocks(graph, "fine.", back, base.second, settings)
     rest = graph.linear("fine", features, GAIN * base.fine.weight, base.fine.bias)
     places = graph.constant("coarse.places", np.eye(base.coarse.out_features, base.fine.out_features))
-    known = graph.node("MatMul", [coarse, places], "coarse.field")
-    return graph.node("Add", [rest, known], "field")
+    known = graph.node("MatMul", [coarse, places], "coarse.modes")
+    return graph.node("Add", [rest, known], "modes")
 
 
 def _folded(block: ConvBlock, stride: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -26,12 +26,6 @@ LEAST_FOUND = 0.9
 _MARGIN = 1.02  # of the disc around the outermost marker
 
 
-def orders(order: int) -> NDArray[np.int64]:
-    """(F, 2) radial order n <= `order` and azimuthal order m of each polynomial."""
-    pairs = [(n, m) for n in range(order + 1) for m in range(n % 2, n + 1, 2)]
-    return np.array([pair for pair in pairs for _ in range(2 if pair[1] else 1)])
-
-
 def polynomials(points: Array, order: int) -> Array:
     """Zernike's polynomials (P, F) up to a radial order at points (P, 2) of the unit disc.
 
@@ -126,20 +120,20 @@ class MarkerFields:
         """(N,)"""
         return np.asarray(np.isfinite(self.values[:, 0, 0]))
 
-    def mean_and_scale(self, order: int, symmetry: int) -> tuple[Array, Array]:
-        """Mean (F, 2) over images turned by multiples of 1 / symmetry, and a deviation (F,).
+    def modes(self, order: int, symmetry: int) -> tuple[Array, Array]:
+        """Mean (2 F,) and modes (2 F, 2 F) of the fields of images turned by multiples of 1 / symmetry.
 
-        That is over images as they are, but one for all the numbers that a turn mixes.
+        A field's numbers are mean + modes @ q, with q along the fields' principal axes. Each of q is divided by
+        the root of its deviation: small parts of a field, that tell the twist, weigh more than by their pixels,
+        and less than if all had the same deviation.
         """
-        values = self.values[self.known].astype(np.float64)
-        variance = values.var(axis=0).mean(axis=1)
-        kinds = orders(order)
-        for kind in np.unique(kinds, axis=0):
-            same = (kinds == kind).all(axis=1)
-            variance[same] = variance[same].mean()
-        angles = 2.0 * np.pi * np.arange(symmetry) / symmetry
-        maps = np.mean([turned(order, float(angle)) for angle in angles], axis=0)
-        return (maps @ values.mean(axis=0).ravel()).reshape(-1, 2), np.sqrt(variance)
+        values = self.values[self.known].reshape(-1, 2 * self.values.shape[1]).astype(np.float64)
+        maps = [turned(order, 2.0 * np.pi * k / symmetry) for k in range(symmetry)]
+        mean = np.mean(maps, axis=0) @ values.mean(axis=0)
+        second = (values - mean).T @ (values - mean) / len(values)
+        variance, axes = np.linalg.eigh(np.mean([m @ second @ m.T for m in maps], axis=0))
+        deviation = np.sqrt(np.maximum(variance[::-1], 1e-6))
+        return mean, axes[:, ::-1] * np.sqrt(deviation * deviation.mean())
 
     def taken(self, chosen: NDArray[np.int64]) -> MarkerFields:
         return MarkerFields(self.center, self.radius, self.values[chosen])

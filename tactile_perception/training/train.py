@@ -147,9 +147,9 @@ class _Run:
         self.images = torch.from_numpy(data.training.images).to(self.device)
         self.labels = torch.from_numpy(data.training.labels.astype(np.float32)).to(self.device)
         self.network.start_from(self.labels.cpu())
-        self.fields = self._place_fields()
         if data.start is not None:
             data.start.give(self.network)
+        self.fields = self._place_fields()
         self.network.to(self.device).to(memory_format=self.layout)  # type: ignore[call-overload]
         self.axis: SymmetryAxis | None = None
         self.augmenter = self._augmenter()
