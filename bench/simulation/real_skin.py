@@ -17,8 +17,8 @@ from scipy.optimize import least_squares
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from shared import Array, Table, parser
 
-from tactile_perception.markers import labelled
 from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.markers import labelled
 from tactile_scene.simulated_sensors import ContactSettings, TacTipSettings
 from tactile_sim.collection import Mounting, SensorFile, load_sensor, press_then_shear
 from tactile_sim.tactip import TacTip

@@ -12,11 +12,11 @@ from rich.console import Console
 from tactile_base.console import number_table
 from tactile_base.whole_file import check_file, room_for_files
 from tactile_bringup.commands.changes import add_command, add_group, natural_int, positive_int
-from tactile_perception.markers.labelled import track
 from tactile_bringup.fitting.network_error import Ways, compared, drawn, fit
 from tactile_bringup.fitting.sensor import PARAMETERS, Fit, by_depth, improve, loss, write
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.labels import COMPONENTS
+from tactile_perception.markers.labelled import track
 from tactile_sim.collection import SensorFile, load_sensor
 
 

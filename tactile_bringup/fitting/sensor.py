@@ -1,7 +1,7 @@
 """The simulated sensor (camera, markers, skin, friction) and a rig's errors, fitted to real images.
 
-Markers are tracked in labelled images (`tactile_perception.markers.labelled`), the contacts simulated with their labels, and all
-marker positions fitted by Gauss-Newton on a soft-L1 loss: `tactile fit sensor`.
+Markers are tracked in labelled images (`tactile_perception.markers.labelled`), the contacts simulated with
+their labels, and all marker positions fitted by Gauss-Newton on a soft-L1 loss: `tactile fit sensor`.
 """
 
 from __future__ import annotations

@@ -29,6 +29,7 @@ DEEPEST_REST = 1.2  # mm; deeper than that no marker is near where it rests
 SHALLOW = 0.2  # mm beyond the shallowest contact, in which markers are about where they rest
 NEIGHBORS = 18
 REACH = 6.0  # px, about a third of the distance between markers
+FEWEST_SEEN = 0.8  # part of the markers, in the shallow contact that everything starts from
 CONSISTENT = 4.0  # px between a marker and where its neighbors put it
 PASSES = 3  # of regression and growth
 
@@ -72,7 +73,8 @@ def track(
     Raises
     ------
     ValueError
-        There is no contact less than `DEEPEST_REST` deep, in which the markers are about where they rest.
+        There is no contact less than `DEEPEST_REST` deep, in which the markers are about where they rest,
+        or it does not show the rings of 331.
     """
     data = open_folder(folder)
     data.check_labelled()
@@ -98,25 +100,34 @@ def track(
     template, ring = ring_template(blobs[shallow[np.argmin(np.hypot(*labels[shallow, :2].T))]])
     features = _features(labels / np.array([5, 5, 6, 25, 25, 5]))
     positions = _refine(blobs, labels, features, template, steps)
-    rest = np.nanmedian(positions[shallow], axis=0)
+    rest = np.ma.median(np.ma.masked_invalid(positions[shallow]), axis=0).filled(template)
+    neighbors = _Neighbors(rest)
     for number in range(PASSES):
         predicted = np.stack(
             [_regressed(features, positions[:, m], np.arange(len(index))) for m in range(len(rest))], axis=1
         )
         for i, (seen, expected) in enumerate(zip(blobs, predicted, strict=True)):
-            positions[i] = _grow(seen, rest, expected)
+            positions[i] = _grow(seen, neighbors, expected)
             if progress is not None:
                 progress(number * len(index) + i + 1, PASSES * len(index))
     return Tracked(labels, rest + offset, positions + offset, ring)
 
 
 def ring_template(centres: Array) -> tuple[Array, Array]:
-    """Rings of 1, 6, 12, ... fitted to a shallow contact's blobs: positions (331, 2) and ring numbers."""
+    """Rings of 1, 6, 12, ... fitted to a shallow contact's blobs: positions (331, 2) and ring numbers.
+
+    `ValueError` where there are too few blobs for that.
+    """
     middle = np.median(centres, axis=0)
     inside = centres[np.hypot(*(centres - middle).T) < 215]
     middle = (inside.max(axis=0) + inside.min(axis=0)) / 2
     order = np.argsort(np.hypot(*(inside - middle).T))
     ring = np.concatenate([[k] * max(6 * k, 1) for k in range(RINGS + 1)])
+    if len(inside) < FEWEST_SEEN * len(ring):
+        raise ValueError(
+            f"a shallow contact shows {len(inside)} markers: needs most of the {len(ring)} that lie in "
+            f"{RINGS} rings about one in the middle"
+        )
     azimuth = np.concatenate([2 * np.pi * np.arange(max(6 * k, 1)) / max(6 * k, 1) for k in range(RINGS + 1)])
     sorted_radius = np.hypot(*(inside[order] - middle).T)
     radius = np.array(
@@ -150,34 +161,41 @@ def _regressed(basis: Array, positions: Array, chosen: Array) -> Array:
     return basis @ np.linalg.solve(a.T @ a + ridge, a.T @ positions[seen])
 
 
-def _grow(blobs: Array, rest: Array, predicted: Array, rounds: int = 14) -> Array:
+class _Neighbors:
+    """Where each marker is expected by a local affine fit to its neighbors' displacements."""
+
+    def __init__(self, rest: Array) -> None:
+        self.rest = rest
+        self._near = cKDTree(rest).query(rest, k=NEIGHBORS + 1)[1][:, 1:]
+        offset = rest[self._near] - rest[:, None]
+        offset /= np.linalg.norm(offset[:, 0], axis=1).mean()
+        self._weight = np.exp(-0.5 * (np.linalg.norm(offset, axis=2) / 1.2) ** 2)
+        self._basis = np.concatenate([np.ones((*offset.shape[:2], 1)), offset], axis=2)
+
+    def expected(self, positions: Array) -> Array:
+        """Positions (331, 2) by those of the neighbors; NaN with fewer than five of them."""
+        displacement = positions - self.rest
+        known = np.isfinite(displacement[self._near, 0])
+        weighted = self._basis * (self._weight * known)[:, :, None]
+        normal = weighted.transpose(0, 2, 1) @ self._basis + np.diag([1e-9, 0.02, 0.02])
+        seen = np.where(known[:, :, None], displacement[self._near], 0.0)
+        out = self.rest + np.linalg.solve(normal, weighted.transpose(0, 2, 1) @ seen)[:, 0]
+        out[known.sum(axis=1) < 5] = np.nan
+        return out
+
+
+def _grow(blobs: Array, neighbors: _Neighbors, predicted: Array, rounds: int = 14) -> Array:
     """Positions (331, 2) in one image, grown from where the prediction is right to a few pixels."""
-    near = cKDTree(rest).query(rest, k=NEIGHBORS + 1)[1][:, 1:]
-    found = np.full_like(rest, np.nan)
+    found = np.full_like(predicted, np.nan)
     for _ in range(rounds):
         found = _mutual_nearest(predicted, blobs, REACH)
-        expected = _from_neighbors(found - rest, rest, near)
-        found[np.linalg.norm(found - rest - expected, axis=1) > CONSISTENT] = np.nan
-        expected = rest + _from_neighbors(found - rest, rest, near)
+        found[np.linalg.norm(found - neighbors.expected(found), axis=1) > CONSISTENT] = np.nan
+        expected = neighbors.expected(found)
         expected = np.where(np.isfinite(expected), expected, predicted)
         if np.abs(expected - predicted).max() < 0.05:
             break
         predicted = expected
     return found
-
-
-def _from_neighbors(displacement: Array, rest: Array, near: Array) -> Array:
-    """Displacement (331, 2) by a local affine fit to the neighbors'; NaN with fewer than five of them."""
-    known = np.isfinite(displacement[near, 0])
-    offset = (rest[near] - rest[:, None]) / np.linalg.norm(rest[near[:, 0]] - rest, axis=1).mean()
-    weight = np.exp(-0.5 * (np.linalg.norm(offset, axis=2) / 1.2) ** 2) * known
-    basis = np.concatenate([np.ones((*offset.shape[:2], 1)), offset], axis=2)
-    weighted = basis * weight[:, :, None]
-    normal = np.einsum("nki,nkj->nij", weighted, basis) + np.diag([1e-9, 0.02, 0.02])
-    right = np.einsum("nki,nkd->nid", weighted, np.where(known[:, :, None], displacement[near], 0.0))
-    out = np.linalg.solve(normal, right)[:, 0]
-    out[known.sum(axis=1) < 5] = np.nan
-    return out
 
 
 def _mutual_nearest(markers: Array, blobs: Array, reach: float) -> Array:

@@ -135,9 +135,10 @@ def arrange(
     preprocessing: PreprocessingSettings,
     following: Callable[[int, int], None] | None = None,
 ) -> RunData:
-    """Hold samples back, follow the markers where the network is to find them, and reduce images to the network's size where that is still to be done.
+    """Hold samples back and reduce images to the network's size where that is still to be done.
 
-    Without data to validate on, what is held back does that as well.
+    Where the network is to find the markers' field, they are followed in the training images. Without data to
+    validate on, what is held back does that as well.
     """
     named = CONTACT_MODELS.load(config.training.model)
     model = named.narrowed(training.labelled, training.report.folder)
@@ -254,7 +255,9 @@ class Start:
 
     def check_channels(self, channels: int) -> None:
         """`SettingError` unless it was trained on images of so many colors."""
-        own = next(iter(self.weights.values())).shape[1]
+        own = next(weight for weight in self.weights.values() if weight.ndim == 4).shape[
+            1
+        ]  # the first convolution
         if (own % 3 == 0) != (channels == 3):
             colors = ("gray", "color") if channels == 3 else ("color", "gray")
             raise SettingError(

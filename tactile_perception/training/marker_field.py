@@ -123,9 +123,9 @@ class MarkerFields:
     def modes(self, order: int, symmetry: int) -> tuple[Array, Array]:
         """Mean (2 F,) and modes (2 F, 2 F) of the fields of images turned by multiples of 1 / symmetry.
 
-        A field's numbers are mean + modes @ q, with q along the fields' principal axes. Each of q is divided by
-        the root of its deviation: small parts of a field, that tell the twist, weigh more than by their pixels,
-        and less than if all had the same deviation.
+        A field's numbers are mean + modes @ q, with q along the fields' principal axes. Each of q is divided
+        by the root of its deviation: small parts of a field, that tell the twist, weigh more than by their
+        pixels, and less than if all had the same deviation.
         """
         values = self.values[self.known].reshape(-1, 2 * self.values.shape[1]).astype(np.float64)
         maps = [turned(order, 2.0 * np.pi * k / symmetry) for k in range(symmetry)]

@@ -56,7 +56,7 @@ class Registration(nn.Module):
         self.register_buffer("shifts", torch.zeros(self.coarse.out_features, 2 * self.size**2))
 
     def place(self, fields: MarkerFields, crop_shape: tuple[int, int], symmetry: int) -> None:
-        """Take the disc from training data, and the modes, unless they come from the network to start from."""
+        """Take the disc from training data, and the modes unless another network has given its own."""
         if not self.modes.any():
             mean, modes = fields.modes(self.order, symmetry)
             self.mean.copy_(torch.from_numpy(mean))

@@ -227,8 +227,10 @@ class _Run:
             with self._autocast():
                 raw = self.network(self._input(images))
             return self.network.distribution.loss(labels, raw)
+        base = self.network.base
+        assert isinstance(base, Registration)
         with self._autocast():
-            coarse, fine = self.network.base.looks(self._input(images))
+            coarse, fine = base.looks(self._input(images))
         wanted = self.fields(samples, turns)
         loss = self.network.distribution.loss(labels, self.network.answer(fine))
         for found in (coarse, fine):

@@ -7,10 +7,10 @@ import pytest
 
 from tactile_bringup.cli import main
 from tactile_bringup.fitting import network_error
-from tactile_perception.markers.labelled import Tracked, track
 from tactile_bringup.fitting.network_error import Contacts
 from tactile_bringup.fitting.sensor import PARAMETERS, Fit, improve, loss, write
 from tactile_geometry import se3
+from tactile_perception.markers.labelled import Tracked, track
 from tactile_sim.collection import SensorFile, load_sensor, press_then_shear
 from tactile_sim.network_error import load_error_model
 from tactile_sim.tactip import TacTip
