@@ -215,11 +215,13 @@ def _report_visibility(result: CheckResult, chosen: NDArray[np.int64], images: l
         "ok", "shows", f"of the {found.of} each component explains: {shares}; noise is {found.noise:.1%}"
     )
     for name in found.hardly:
+        advice = "expect little of its estimates"
         text = f"{name} hardly shows: it explains {found.shares[name]:.1%} of the {found.of}"
         if name == "gamma" and flow is not None and result.conventions:
             full = 1.0 if result.conventions.angle_unit == "rad" else np.radians(1.0)
             text += f", markers turn by {abs(flow.turn.value) / full:.2f} of it"
-        result.add("note" if flow is None else "warning", "shows", f"{text}: expect little of its estimates")
+            advice += " but by gdn_registered.yaml, for rings of 331 markers"
+        result.add("note" if flow is None else "warning", "shows", f"{text}: {advice}")
 
 
 def _report_sums(result: CheckResult, chosen: NDArray[np.int64]) -> None:
