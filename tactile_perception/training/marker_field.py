@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 #: Part of the markers that must have been found for an image to tell its field.
 LEAST_FOUND = 0.9
+#: Part of the images whose field must be known.
+LEAST_KNOWN = 0.5
 _MARGIN = 1.02  # of the disc around the outermost marker
 
 
@@ -60,10 +62,8 @@ def turned(order: int, angle: float) -> Array:
     radius, azimuth = np.sqrt(rng.random(1000)), 2.0 * np.pi * rng.random(1000)
     points = radius[:, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
     rotation = turn(angle)
-    scalars = np.linalg.lstsq(polynomials(points, order), polynomials(points @ rotation, order), rcond=None)[
-        0
-    ]
-    return np.kron(scalars, rotation)
+    before, after = polynomials(points, order), polynomials(points @ rotation, order)
+    return np.kron(np.linalg.lstsq(before, after, rcond=None)[0], rotation)
 
 
 @dataclass(frozen=True)
@@ -107,10 +107,10 @@ class MarkerFields:
             seen = np.isfinite(moved[image, :, 0])
             values[image] = np.linalg.lstsq(basis[seen], moved[image, seen], rcond=None)[0]
         fields = cls(center, radius, values)
-        if fields.known.mean() < 0.5:
+        if fields.known.mean() < LEAST_KNOWN:
             raise DatasetError(
                 f"network.field_order = {order}: {folder}: the markers could be followed in "
-                f"{fields.known.sum()} of {len(names)} images only, needs half of them; set it to 0, for a "
+                f"{fields.known.sum()} of {len(names)} images only, needs half of them. Set it to 0, for a "
                 "network that does without"
             )
         return fields

@@ -9,14 +9,10 @@ pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
 from tactile_perception.estimating.estimator import Estimator  # noqa: E402
 from tactile_perception.estimating.model_metadata import ModelMetadata  # noqa: E402
 from tactile_perception.estimating.preprocessing import PreprocessingSettings  # noqa: E402
+from tactile_perception.training.convolutions import ConvBlock, FirstBlock  # noqa: E402
 from tactile_perception.training.export import export_onnx  # noqa: E402
 from tactile_perception.training.heads import make_head, softbound  # noqa: E402
-from tactile_perception.training.network import (  # noqa: E402
-    ConvBlock,
-    FirstBlock,
-    MultiDropoutLinear,
-    PoseNetwork,
-)
+from tactile_perception.training.network import MultiDropoutLinear, PoseNetwork  # noqa: E402
 from tactile_perception.training.settings import HEADS, NetworkSettings  # noqa: E402
 
 SMALL = NetworkSettings(image_size=32, channels=(4, 6, 8))
