@@ -167,7 +167,7 @@ def _coerce_sequence(field: dataclasses.Field[Any], value: Any) -> tuple[Any, ..
         raise SettingError(f"{field.name}: must have {length} elements, has {len(value)}")
     default: Any = field.default
     lower = field.metadata.get("lower")
-    kind = default[0] if default else "" if lower is None else 0 if isinstance(lower, int) else 0.0
+    kind = default[0] if default else "" if lower is None else type(lower)()
     return tuple(_coerce_scalar(f"{field.name}[{k}]", kind, element) for k, element in enumerate(value))
 
 

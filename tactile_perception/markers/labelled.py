@@ -85,10 +85,9 @@ def track(
     if samples is not None and samples < len(index):
         index = np.sort(np.random.default_rng(0).choice(index, samples, replace=False))
     labels = data.euler_mm_deg[index]
-    images = (data.image(int(i)) for i in index)
-    offset = np.zeros(2)
-    blobs = []
-    for image in images:
+    offset, blobs = np.zeros(2), []
+    for row in index:
+        image = data.image(int(row))
         blobs.append(detect(image).centers)
         if image.shape[:2] == data.preprocessing.crop_shape:
             offset = np.array(data.preprocessing.bbox[:2])

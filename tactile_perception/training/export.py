@@ -24,7 +24,7 @@ from tactile_perception.estimating.model_metadata import (
 from tactile_perception.training.convolutions import ConvBlock
 from tactile_perception.training.heads import COMPONENTS_OF_MIXTURE, FullGaussianHead, Head
 from tactile_perception.training.network import PoseNetwork
-from tactile_perception.training.registration import GAIN, Registration
+from tactile_perception.training.registration import Registration
 from tactile_perception.training.settings import NetworkSettings
 
 OPSET = 17
@@ -92,14 +92,14 @@ def _write_blocks(
 def _write_registration(graph: GraphWriter, base: Registration, settings: NetworkSettings) -> str:
     """From images to the modes of the markers' displacement field, as `Registration.forward`."""
     size, features = base.size, _write_blocks(graph, "coarse.", INPUT_NAME, base.first, settings)
-    coarse = graph.linear("coarse", features, GAIN * base.coarse.weight, base.coarse.bias)
+    coarse = graph.linear("coarse", features, base.coarse.gain * base.coarse.weight, base.coarse.bias)
     shift = graph.node("MatMul", [coarse, graph.constant("shifts", base.shifts.numpy())], "shift")
     grid = graph.node("Add", [shift, graph.constant("rest", base.rest.numpy())], "grid.flat")
     grid = graph.reshape(grid, (-1, size, size, 2), "grid")
     back = graph.node("GridSample", [INPUT_NAME, grid], "pulled_back", mode="bilinear", align_corners=0)
     features = _write_blocks(graph, "fine.", back, base.second, settings)
-    rest = graph.linear("fine", features, GAIN * base.fine.weight, base.fine.bias)
-    places = graph.constant("coarse.places", np.eye(base.coarse.out_features, base.fine.out_features))
+    rest = graph.linear("fine", features, base.fine.gain * base.fine.weight, base.fine.bias)
+    places = graph.constant("coarse.places", np.eye(base.coarse_count, base.count))
     known = graph.node("MatMul", [coarse, places], "coarse.modes")
     return graph.node("Add", [rest, known], "modes")
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from math import factorial
 from pathlib import Path
 
@@ -55,7 +54,6 @@ def _radial(n: int, m: int, radius: Array) -> Array:
     return total
 
 
-@lru_cache(maxsize=512)
 def turned(order: int, angle: float) -> Array:
     """(2 F, 2 F): what a turn of the image by `angle` (rad, from x to y) makes of a field's numbers."""
     rng = np.random.default_rng(0)
@@ -64,6 +62,11 @@ def turned(order: int, angle: float) -> Array:
     rotation = turn(angle)
     before, after = polynomials(points, order), polynomials(points @ rotation, order)
     return np.kron(np.linalg.lstsq(before, after, rcond=None)[0], rotation)
+
+
+def all_turns(order: int, symmetry: int) -> Array:
+    """(symmetry, 2 F, 2 F): `turned` by each multiple of 1 / symmetry of a circle."""
+    return np.array([turned(order, 2.0 * np.pi * k / symmetry) for k in range(symmetry)])
 
 
 @dataclass(frozen=True)
@@ -128,12 +131,9 @@ class MarkerFields:
         pixels, and less than if all had the same deviation.
         """
         values = self.values[self.known].reshape(-1, 2 * self.values.shape[1]).astype(np.float64)
-        maps = [turned(order, 2.0 * np.pi * k / symmetry) for k in range(symmetry)]
-        mean = np.mean(maps, axis=0) @ values.mean(axis=0)
+        maps = all_turns(order, symmetry)
+        mean = maps.mean(axis=0) @ values.mean(axis=0)
         second = (values - mean).T @ (values - mean) / len(values)
-        variance, axes = np.linalg.eigh(np.mean([m @ second @ m.T for m in maps], axis=0))
+        variance, axes = np.linalg.eigh((maps @ second @ maps.transpose(0, 2, 1)).mean(axis=0))
         deviation = np.sqrt(np.maximum(variance[::-1], 1e-6))
         return mean, axes[:, ::-1] * np.sqrt(deviation * deviation.mean())
-
-    def taken(self, chosen: NDArray[np.int64]) -> MarkerFields:
-        return MarkerFields(self.center, self.radius, self.values[chosen])

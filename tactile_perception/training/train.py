@@ -251,7 +251,12 @@ class _Run:
 
     def _labels(self, samples: Tensor, turns: NDArray[np.int64]) -> Tensor:
         labels = self.labels[samples]
-        return labels if self.axis is None else self.axis(labels, torch.from_numpy(turns).to(self.device))
+        # on what is not turned the axis has no part, and no step of the optimizer is to move it
+        return (
+            labels
+            if self.axis is None or not turns.any()
+            else self.axis(labels, torch.from_numpy(turns).to(self.device))
+        )
 
     def _autocast(self) -> torch.autocast:
         enabled = self.config.training.precision == "bf16"
@@ -259,11 +264,12 @@ class _Run:
 
     def _place_fields(self) -> FieldTargets | None:
         """What the network's base is to find; its disc and scale come from there."""
-        base, fields = self.network.base, self.data.fields
-        if not isinstance(base, Registration) or fields is None:
+        base, fields, symmetry = self.network.base, self.data.fields, self.config.augmentation.symmetry
+        if fields is None:
             return None
-        base.place(fields, self.data.preprocessing.crop_shape, self.config.augmentation.symmetry)
-        return FieldTargets(fields, base, self.config.augmentation.symmetry, self.device)
+        assert isinstance(base, Registration)
+        base.place(fields, self.data.preprocessing.crop_shape, symmetry)
+        return FieldTargets(fields, base, symmetry, self.device)
 
     def evaluate(self, samples: Samples, precision: str = "fp32") -> tuple[float, NDArray[np.float64]]:
         """Loss and MAE (K,) of the network as it is; NaN where nothing is labelled."""

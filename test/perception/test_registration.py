@@ -159,7 +159,7 @@ def test_an_image_is_pulled_back_to_where_its_markers_rest():
     # what the first modes leave out is small here, as it is in fields of markers
     numbers = FieldTargets(fields, base, 1, torch.device("cpu"))(torch.tensor([chosen]), np.zeros(1, int))
     images = torch.from_numpy(np.stack([spots(moved)]))[:, None]
-    back = base.pulled_back(images, numbers[:, : base.coarse.out_features])[0, 0].numpy()
+    back = base.pulled_back(images, numbers[:, : base.coarse_count])[0, 0].numpy()
     scale = np.array([SIDE / CROP[1], SIDE / CROP[0]])
     for x, y in (rest + 0.5) * scale - 0.5:
         near = np.round(y).astype(int) + np.arange(-3, 4), np.round(x).astype(int) + np.arange(-3, 4)

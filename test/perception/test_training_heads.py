@@ -12,7 +12,8 @@ from tactile_perception.estimating.preprocessing import PreprocessingSettings  #
 from tactile_perception.training.convolutions import ConvBlock, FirstBlock  # noqa: E402
 from tactile_perception.training.export import export_onnx  # noqa: E402
 from tactile_perception.training.heads import make_head, softbound  # noqa: E402
-from tactile_perception.training.network import MultiDropoutLinear, PoseNetwork  # noqa: E402
+from tactile_perception.training.network import PoseNetwork  # noqa: E402
+from tactile_perception.training.output_layer import MultiDropoutLinear  # noqa: E402
 from tactile_perception.training.settings import HEADS, NetworkSettings  # noqa: E402
 
 SMALL = NetworkSettings(image_size=32, channels=(4, 6, 8))
