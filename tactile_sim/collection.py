@@ -110,6 +110,8 @@ class Sample:
     ----------
     index : int
     image : (height, width) uint8
+    markers : (n, 2)
+        Where the markers are in it: column, row.
     euler_mm_deg : (6,)
         The label: commanded surface contact pose (x, y, z, alpha, beta, gamma) of X_fs, mm and degrees.
     truth : ContactTruth
@@ -119,6 +121,7 @@ class Sample:
 
     index: int
     image: NDArray[np.uint8]
+    markers: Array
     euler_mm_deg: Array
     truth: ContactTruth
     friction: float
@@ -152,10 +155,10 @@ def collect(
     least, largest = settings.curvature
     press_then_shear(sensor, pose + noise, settings.clearance, float(rng.uniform(least, largest)),
                      Mounting.of(settings))  # fmt: skip
-    image, truth = sensor.image(), sensor.truth()
+    image, markers, truth = sensor.image(), sensor.marker_pixels, sensor.truth()
     if variation is not None:
-        image = varied(image, variation, truth.depth, rng)
-    return Sample(index, image, pose / _SCALE, truth, friction)
+        image, markers = varied(image, markers, variation, truth.depth, rng)
+    return Sample(index, image, markers, pose / _SCALE, truth, friction)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,9 @@ from tactile_base.settings import Settings, setting
 from tactile_scene.simulated_sensors import TacTipSettings
 
 Image = NDArray[np.uint8]
+Array = NDArray[np.float64]
 _FULL_DEPTH = 3e-3  # m, from which the skin's field has its full size
+_ROUNDS = 4  # each leaves a few percent of the error
 _COARSE = 16  # px between the nodes of the displacement field
 
 
@@ -49,18 +51,29 @@ class VariationSettings(Settings):
     )  # fmt: skip
 
 
-def varied(image: Image, settings: VariationSettings, depth: float, rng: np.random.Generator) -> Image:
-    """The image (rows, columns) with differences drawn from `rng`; `depth` (m) is that of the contact."""
-    moved = _moved(image, settings, float(np.clip(depth / _FULL_DEPTH, 0.0, 1.0)), rng)
+def varied(
+    image: Image, markers: Array, settings: VariationSettings, depth: float, rng: np.random.Generator
+) -> tuple[Image, Array]:
+    """The image (rows, columns) with differences drawn from `rng`, and where its markers (n, 2) then are.
+
+    `depth` (m) is that of the contact.
+    """
+    source = _source(image.shape, settings, float(np.clip(depth / _FULL_DEPTH, 0.0, 1.0)), rng)
+    moved = cv2.remap(image, source, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
     grown = _grown(moved, float(rng.uniform(-settings.marker_growth, settings.marker_growth)))
     gain = float(rng.uniform(settings.gain[0], settings.gain[1]))
     bright = np.asarray(cv2.convertScaleAbs(grown, alpha=gain), np.uint8)
-    return _with_reflections(bright, settings, rng)
+    return _with_reflections(bright, settings, rng), _brought(markers, source)
 
 
-def _moved(image: Image, settings: VariationSettings, share: float, rng: np.random.Generator) -> Image:
-    """Shifted, scaled and turned about its middle, and displaced by a smooth random field."""
-    rows, columns = image.shape
+def _source(
+    shape: tuple[int, ...], settings: VariationSettings, share: float, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Where each pixel's content comes from, (rows, columns, 2).
+
+    The image is shifted, scaled and turned about its middle, and displaced by a smooth random field.
+    """
+    rows, columns = shape
     size = (columns // _COARSE + 2, rows // _COARSE + 2)
     middle = np.array([columns, rows]) / 2
     scale, turn = rng.normal(1.0, settings.scale), np.radians(rng.normal(0.0, settings.rotation_deg))
@@ -75,9 +88,19 @@ def _moved(image: Image, settings: VariationSettings, share: float, rng: np.rand
     )
     # resizing puts a node into the middle of its step, half a pixel before pixel `half` for the first one
     half = _COARSE // 2
-    fine = fine[half : half + rows, half : half + columns]
-    moved = cv2.remap(image, fine, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
-    return np.asarray(moved, np.uint8)
+    return np.ascontiguousarray(fine[half : half + rows, half : half + columns])
+
+
+def _brought(points: Array, source: NDArray[np.float32]) -> Array:
+    """Where the content of `points` (n, 2) is, once each pixel has that of `source`; its shifts are small."""
+    rows, columns = source.shape[:2]
+    shift = source - np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).astype(np.float32)
+    place = points.astype(np.float32)
+    for _ in range(_ROUNDS if len(points) else 0):
+        x, y = np.ascontiguousarray(place.T)
+        there = cv2.remap(shift, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        place = points.astype(np.float32) - there[:, 0]
+    return place.astype(np.float64)
 
 
 def _smooth_field(size: tuple[int, int], length: float, rng: np.random.Generator) -> NDArray[np.float64]:

@@ -8,10 +8,11 @@ from tactile_bringup.commands import data_check as check_command
 from tactile_bringup.commands import data_collect as collect_command
 from tactile_bringup.commands import data_generate as generate_command
 from tactile_bringup.commands import data_import as import_command
+from tactile_bringup.commands import data_shard as shard_command
 from tactile_bringup.commands.changes import add_group
 
 
 def register(subparsers: Any) -> None:
     commands = add_group(subparsers, "data", __doc__)
-    for module in (generate_command, collect_command, import_command, check_command):
+    for module in (generate_command, collect_command, import_command, shard_command, check_command):
         module.register(commands)

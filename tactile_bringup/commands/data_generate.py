@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 
 from tactile_base.config_paths import named_file
@@ -30,7 +32,7 @@ from tactile_bringup.commands.changes import (
     workers_of,
 )
 from tactile_perception.datasets.layout import FORCE_COLUMNS
-from tactile_perception.datasets.writer import DatasetWriter, as_png, write_processed
+from tactile_perception.datasets.writer import DatasetWriter, as_png, write_markers, write_processed
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_records.collecting.parameters import check_same_run
 from tactile_scene.sampling import VALIDATION_START
@@ -51,6 +53,8 @@ def register(commands: Any) -> None:
     add("--sensor", metavar="NAME", help="one of config/sensors, or a file (default: the built-in sensor)")
     text = "take turns with N - 1 more of its kind, of other gel, pins and lens: for a start on other sensors"
     add("--sensors", type=positive_int, default=1, metavar="N", help=text)
+    text = "keep where the markers are in each image, for networks that lay them back"
+    add("--markers", action="store_true", help=text)
     add("--config", type=Path, help="YAML file with collection settings (SI)")
     add_set_option(parser, "change one of them")
 
@@ -106,6 +110,8 @@ def _generate_split(
         parameters["variation"] = dataclasses.asdict(sensor.variation)
     if arguments.sensors > 1:
         parameters["sensors"] = arguments.sensors
+    if arguments.markers:
+        parameters["markers"] = True
     if preprocessing != PreprocessingSettings():
         parameters["preprocessing"] = dataclasses.asdict(preprocessing)
     check_same_run(folder, parameters)
@@ -120,8 +126,10 @@ def _generate_split(
         with Progress(console) as progress:
             samples = run_jobs(work, missing, workers_of(arguments), progress.say)
             for sample in progress.counted(samples, name, len(missing), "samples"):
-                png, euler_mm_deg, force = sample.result()
+                png, euler_mm_deg, force, markers = sample.result()
                 write_processed(folder, sample.job, png)
+                if arguments.markers:
+                    write_markers(folder, sample.job, markers)
                 writer.add_row(sample.job, euler_mm_deg, dict(zip(FORCE_COLUMNS, force, strict=True)))
         path, there = writer.finish(), len(writer.done)
     took = duration(time.monotonic() - started)
@@ -130,13 +138,13 @@ def _generate_split(
 
 @dataclass(frozen=True)
 class ProcessedSample:
-    """Makes the sample of a number: its image as it is stored, and its labels, pose (6,) and force (3,)."""
+    """Makes the sample of a number: its image as it is stored, pose (6,), force (3,) and markers (n, 2)."""
 
     collector: Collector
     preprocessing: PreprocessingSettings
     start: int  # index of number 1
 
-    def __call__(self, number: int) -> tuple[bytes, list[float], list[float]]:
+    def __call__(self, number: int) -> tuple[bytes, list[float], list[float], NDArray[np.float64]]:
         sample = self.collector(self.start + number - 1)
         png = as_png(Preprocessor(self.preprocessing).processed(sample.image))
-        return png, sample.euler_mm_deg.tolist(), sample.truth.force.tolist()
+        return png, sample.euler_mm_deg.tolist(), sample.truth.force.tolist(), sample.markers

@@ -18,6 +18,7 @@ from tactile_bringup.commands.changes import add_command, natural_int, positive_
 from tactile_filter.bayes_filter import ContactFilter
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.datasets.layout import PARAMETERS_NAME
 from tactile_perception.estimating.estimator import Estimator, shipped_model
 from tactile_perception.estimating.labels import EULER_COMPONENTS
 from tactile_perception.estimating.model_metadata import SIMULATED_ONLY
@@ -31,7 +32,6 @@ from tactile_perception.estimating.sources import (
     video_frames,
 )
 from tactile_perception.evaluation.filtering import motion_filter, with_motion_noise
-from tactile_records.collecting.parameters import PARAMETERS_NAME
 
 TABLE = "estimates.csv"
 

@@ -31,7 +31,7 @@ from tactile_perception.datasets.layout import DatasetReport
 from tactile_perception.datasets.statistics import LabelStatistics, label_statistics
 from tactile_perception.datasets.table import CONVENTIONS_NAME, ConventionSettings, read_conventions
 from tactile_perception.datasets.visibility import Visibility
-from tactile_perception.estimating.image import Image, ImageError, read_image
+from tactile_perception.estimating.image import Image, ImageError, decoded
 from tactile_perception.estimating.labels import EULER_COMPONENTS
 from tactile_perception.markers.flow import (
     FlowError,
@@ -126,18 +126,17 @@ def _report_images(result: CheckResult, progress: Callable[[str, int, int], None
     seen: dict[bytes, str] = {}
     twice, broken, blank = [], [], []
     for count, name in enumerate(folder.names):
-        path = folder.image_folder / name
         try:
-            data = path.read_bytes()
+            data = folder.stored(count)
             digest = hashlib.blake2b(data, digest_size=16).digest()
             if digest in seen:
                 twice.append(f"{name} = {seen[digest]}")
             else:
                 seen[digest] = name
-                image = read_image(path)
+                image = decoded(data, str(folder.path(count)))
                 if image.min() == image.max():
                     blank.append(name)
-        except (ImageError, OSError) as error:
+        except ImageError as error:
             broken.append(str(error))
         if progress is not None:
             progress("images", count + 1, len(folder.names))
@@ -228,9 +227,10 @@ def _report_sums(result: CheckResult, chosen: NDArray[np.int64]) -> None:
     """Whether the sum of pose and shear is what images show, where both vary."""
     if result.flow is None:
         return
-    rows = [result.folder.rows[k] for k in chosen]
-    pose, shear = np.array([row.pose for row in rows]), np.array([row.shear for row in rows])
-    found = visibility.better_parts(pose, shear, result.flow.positions, result.folder.labelled)
+    folder = result.folder
+    found = visibility.better_parts(
+        folder.pose[chosen], folder.shear[chosen], result.flow.positions, result.folder.labelled
+    )
     for name, part in found.items():
         result.add(
             "error", "sums", f"{name}: pose and shear do not add up, markers follow the {part} alone more "

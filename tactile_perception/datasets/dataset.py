@@ -8,7 +8,6 @@ left out, repaired or assumed is named and counted in a `DatasetReport`.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import threading
 from collections import Counter
@@ -25,25 +24,24 @@ from numpy.typing import NDArray
 from tactile_base.input_file import read_text
 from tactile_base.settings import SettingError
 from tactile_perception.datasets import layout, lenient_json
+from tactile_perception.datasets.folder import TactileFolder
 from tactile_perception.datasets.image_settings import image_settings
 from tactile_perception.datasets.layout import DatasetError, DatasetReport
 from tactile_perception.datasets.mapping import TableMapping, UnknownTable
+from tactile_perception.datasets.shards import ShardedFolder, is_sharded, open_shards
 from tactile_perception.datasets.table import Row, read_conventions, read_header, read_table
 from tactile_perception.datasets.writer import DatasetWriter
 from tactile_perception.estimating.contact_model import SURFACE, ContactModel
 from tactile_perception.estimating.image import (
     Image,
     ImageError,
-    ImageKind,
-    check_image,
     common_kind,
     handful,
     list_images,
-    read_image,
     resolve,
 )
 from tactile_perception.estimating.labels import EULER_COMPONENTS
-from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
+from tactile_perception.estimating.preprocessing import PreprocessingSettings
 
 __all__ = [
     "DatasetError",
@@ -60,80 +58,6 @@ _FEW = 30  # rows, in which a component may be 0 by chance
 _TRIED = 20  # rows whose images tell where all of them are
 _OTHERS = ", ".join(f"{name}/" for name in layout.IMAGE_FOLDERS[1:])
 _RIGHT = f"a data folder holds {layout.TARGETS_NAME} and {layout.IMAGES_NAME}/ (or {_OTHERS})"
-
-
-@dataclass
-class TactileFolder:
-    """A data folder's rows and settings, images still on disk: `names[i]` has the label `euler_mm_deg[i]`.
-
-    Of the components of a label, those that are not among `labelled` are 0 and mean nothing; `forces` are
-    those of Fx, Fy and Fz that the table has.
-    """
-
-    folder: Path
-    image_folder: Path
-    names: list[str]
-    euler_mm_deg: NDArray[np.float64]
-    preprocessing: PreprocessingSettings
-    processed: bool
-    parameters: dict[str, Any]
-    report: DatasetReport
-    labelled: tuple[str, ...]
-    forces: tuple[str, ...]
-    rows: list[Row]
-    kind: ImageKind | None
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def image(self, index: int) -> Image:
-        """Image `index` as stored; `ImageError` if it cannot be read or has the wrong size or colors."""
-        path = self.image_folder / self.names[index]
-        settings = self.preprocessing
-        image = read_image(path, settings.color)
-        cropped = self.processed or image.shape[:2] == settings.crop_shape  # by its camera
-        shape = settings.crop_shape if cropped else settings.raw_shape
-        return check_image(image, shape, str(path), settings.color)
-
-    def reference(self) -> Image | None:
-        """The image without contact, which tools keep as number 0; None where there is no usable one."""
-        path = self.image_folder / layout.REFERENCE_NAME
-        try:
-            if layout.REFERENCE_NAME in self.names or not path.exists():
-                return None
-            return read_image(path, self.preprocessing.color)
-        except ImageError:
-            return None
-
-    def preprocessor(self) -> Preprocessor:
-        """For its images, with the one without contact where they are compared with that.
-
-        Raises `DatasetError` where there is none.
-        """
-        result = Preprocessor(self.preprocessing)
-        if self.preprocessing.difference:
-            reference = self.reference()
-            if reference is None:
-                raise DatasetError(
-                    f"{self.folder}: has no {self.image_folder.name}/{layout.REFERENCE_NAME}, the image "
-                    "without contact that others are to be compared with (preprocessing.difference)"
-                )
-            result.reference = reference if self.processed else result.processed(reference)
-        return result
-
-    def check_labelled(self) -> None:
-        """`DatasetError` unless all six components are labelled."""
-        if missing := [name for name in EULER_COMPONENTS if name not in self.labelled]:
-            said = json.dumps({"components": EULER_COMPONENTS})
-            raise DatasetError(
-                f"{self.folder}: {', '.join(missing)} not labelled, only {', '.join(self.labelled)}: this "
-                f"needs all six. Where they were truly 0, write {said} into its {layout.LABELS_NAME}"
-            )
-
-    def resized(self, index: int, preprocessor: Preprocessor) -> Image:
-        """Image `index` pre-processed to uint8 (size, size[, 3])."""
-        image = self.image(index)
-        return preprocessor.resized(image if self.processed else preprocessor.processed(image))
 
 
 @dataclass
@@ -188,12 +112,15 @@ def open_folder(
 
     Parameters
     ----------
-    folder : holds `targets_images.csv` and `processed_images/` (cropped, thresholded) or `images/` (raw)
+    folder : holds `targets_images.csv` and `processed_images/` (cropped, thresholded) or `images/` (raw), or
+        shards
     preprocessing : overrides what `processed_image_params.json` says, as with those of a model; where they
         differ, the report says in what. Processed images may have any one size.
     mapping : how to read the table, if it is not one that public tools write
     """
     folder = Path(folder)
+    if is_sharded(folder):
+        return open_shards(folder, preprocessing)
     report = DatasetReport(folder)
     tables = _find_tables(folder, mapping, report)
     parameters = _read_parameters(folder, report)
@@ -224,7 +151,10 @@ def open_folder(
         folder=folder,
         image_folder=image_folder,
         names=names,
-        euler_mm_deg=np.array([row.pose + row.shear for row in rows]),
+        pose=np.array([row.pose for row in rows]),
+        shear=np.array([row.shear for row in rows]),
+        force=np.array([row.force for row in rows]),
+        sensor=_sensors(names, parameters),
         preprocessing=image_settings(
             preprocessing, parameters, kind, None if processed else some_images, report
         ),
@@ -233,7 +163,6 @@ def open_folder(
         report=report,
         labelled=labelled,
         forces=read[0][1].forces,
-        rows=rows,
         kind=kind,
     )
 
@@ -293,10 +222,10 @@ def read_dataset(
         names=[source.names[index] for index in kept],
         images=np.stack(images),
         euler_mm_deg=source.euler_mm_deg[kept],
-        force=np.array([source.rows[index].force for index in kept]),
+        force=source.force[kept],
         labelled=(*source.labelled, *source.forces),
         preprocessing=source.preprocessing,
-        sha256=digest.hexdigest(),
+        sha256=source.sha256 if isinstance(source, ShardedFolder) and limit is None else digest.hexdigest(),
         report=source.report,
         reference=source.preprocessor().reference,
     )
@@ -310,11 +239,11 @@ def _loaded(source: TactileFolder, chosen: list[int]) -> Iterator[tuple[int, Ima
         if not hasattr(own, "preprocessor"):
             own.preprocessor = source.preprocessor()
         try:
-            image = source.resized(index, own.preprocessor)
+            data = source.stored(index)
+            image = source.resized(index, own.preprocessor, data)
         except ImageError as error:
             return index, error, ""
-        file = (source.image_folder / source.names[index]).read_bytes()
-        return index, image, hashlib.sha256(file).hexdigest()
+        return index, image, hashlib.sha256(data).hexdigest()
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         yield from pool.map(load, chosen)
@@ -394,6 +323,13 @@ def _labelled(
     if missing := [name for name in EULER_COMPONENTS if name not in found]:
         report.notes.append(f"{', '.join(missing)} not labelled: without a column, or 0 in every row")
     return found
+
+
+def _sensors(names: list[str], parameters: dict[str, Any]) -> NDArray[np.int64]:
+    """Which of several simulated sensors, which take turns, each image is of."""
+    made = parameters.get(layout.PARAMETERS_NAME)
+    count = made.get("sensors", 1) if isinstance(made, dict) else 1
+    return np.array([layout.image_number(name) % count if count > 1 else 0 for name in names])
 
 
 def _without_duplicates(rows: list[Row], report: DatasetReport) -> list[Row]:

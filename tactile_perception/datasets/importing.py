@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_base.whole_file import whole_file, write_csv
 from tactile_perception.datasets import layout
 from tactile_perception.datasets.dataset import TactileFolder, open_folder
 from tactile_perception.datasets.layout import DatasetError
 from tactile_perception.datasets.mapping import TableMapping
+from tactile_perception.datasets.shards import ShardedFolder
 from tactile_perception.datasets.table import CONVENTIONS_NAME
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.labels import EULER_COMPONENTS
@@ -43,6 +43,8 @@ def import_folder(
     """
     check_outside(out, source)
     folder = open_folder(source, mapping=mapping)
+    if isinstance(folder, ShardedFolder):
+        raise DatasetError(f"{source}: holds shards, which every command reads as they are")
     images = out / (layout.IMAGES_NAME if folder.processed else layout.RAW_IMAGES_NAME)
     images.mkdir(parents=True, exist_ok=True)
     names = flat_names(folder.names)
@@ -123,14 +125,10 @@ def _bring(source: Path, target: Path) -> bool:
 def _write_table(folder: TactileFolder, names: Sequence[str], path: Path) -> list[str]:
     """The label table, with columns for what is labelled alone; gives the forces that it has."""
     chosen = [k for k, name in enumerate(EULER_COMPONENTS) if name in folder.labelled]
-    force: NDArray[np.float64] = np.array([row.force for row in folder.rows])
     forces = [k for k, name in enumerate(layout.FORCE_COLUMNS) if name in folder.forces]
     header = [layout.POSE_COLUMNS[k] for k in chosen] + [layout.SHEAR_COLUMNS[k] for k in chosen]
     header += [layout.FORCE_COLUMNS[k] for k in forces]
-    numbers = np.hstack(
-        [np.array([getattr(row, part)[chosen] for row in folder.rows]) for part in ("pose", "shear")]
-        + [force[:, forces]]
-    )
+    numbers = np.hstack([folder.pose[:, chosen], folder.shear[:, chosen], folder.force[:, forces]])
     rows = ([name, *map(repr, values)] for name, values in zip(names, numbers.tolist(), strict=True))
     write_csv(path, ["sensor_image", *header], rows)
     return [layout.FORCE_COLUMNS[k] for k in forces]

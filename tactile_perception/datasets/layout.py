@@ -10,6 +10,8 @@ TARGETS_NAME = "targets_images.csv"
 TARGETS_NAMES = (TARGETS_NAME, "targets.csv", "labels.csv")
 #: Which components are labelled, where it is not all six; `tactile data import` writes it.
 LABELS_NAME = "labels.json"
+#: What the data were made with.
+PARAMETERS_NAME = "collect_params.json"
 JOURNAL_NAME = "targets_images.partial.csv"
 IMAGES_NAME = "processed_images"
 RAW_IMAGES_NAME = "images"
@@ -23,6 +25,8 @@ IMAGE_PARAMS_NAMES = (
     "image_params.json",
 )
 CAMERA_PARAMS_NAMES = ("sensor_image_params.json", "sensor_params.json")
+#: Where the markers are in each camera image, (n, 2) column and row in a .npy, where a simulator knows it.
+MARKERS_NAME = "markers"
 #: The image without contact, which has no row.
 REFERENCE_NAME = "image_0.png"
 AXES = ("x", "y", "z", "Rx", "Ry", "Rz")
@@ -73,7 +77,7 @@ def parts_of(folder: Path) -> dict[str, Path]:
 
 def data_folders(folder: Path) -> dict[str, Path]:
     """A folder's parts by name; itself, by the name "", where it has a table or no parts."""
-    table = any((folder / name).is_file() for name in (*TARGETS_NAMES, JOURNAL_NAME))
+    table = any(next(folder.glob(name), None) for name in (*TARGETS_NAMES, JOURNAL_NAME, "*.parquet"))
     return {"": folder} if table else parts_of(folder) or {"": folder}
 
 

@@ -99,7 +99,7 @@ def _arrow(axis: Any, center: Array, vector: Array, color: str) -> None:
 def _numbers(folder: TactileFolder, index: int) -> str:
     """What is labelled of a sample, in three lines."""
     values = dict(zip(EULER_COMPONENTS, folder.euler_mm_deg[index], strict=True))
-    force = dict(zip(FORCE_COLUMNS, folder.rows[index].force, strict=True))
+    force = dict(zip(FORCE_COLUMNS, folder.force[index], strict=True))
     lines = [folder.names[index]]
     groups = ((EULER_COMPONENTS[:3], values), (EULER_COMPONENTS[3:], values), (FORCE_COLUMNS, force))
     for (names, found), unit in zip(groups, ("mm", "deg", "N"), strict=True):

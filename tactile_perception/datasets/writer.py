@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import IO, Any
 
 import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from tactile_base.whole_file import whole_file
 from tactile_perception.datasets import layout
@@ -189,6 +191,14 @@ class DatasetWriter:
 def write_processed(folder: Path | str, number: int, png: bytes, durable: bool = False) -> None:
     """Write one cropped and thresholded image of the public layout, whole or not at all."""
     _write(Path(folder) / layout.IMAGES_NAME / image_name(number), png, durable)
+
+
+def write_markers(folder: Path | str, number: int, positions: NDArray[np.float64]) -> None:
+    """Write where the markers are in a camera image, (n, 2) column and row."""
+    path = Path(folder) / layout.MARKERS_NAME / Path(image_name(number)).with_suffix(".npy")
+    path.parent.mkdir(exist_ok=True)
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        np.save(file, positions.astype(np.float32))
 
 
 def as_png(image: Image) -> bytes:

@@ -162,7 +162,7 @@ def common_kind(image_folder: Path, names: list[str]) -> ImageKind | None:
             continue  # named when it is read as a sample
         stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         channels = 1 if stored is None or stored.ndim == 2 else stored.shape[2]
-        binary = bool(np.isin(image, (0, 255)).all()) and image.min() < image.max()
+        binary = bool(np.isin(image, (0, 255)).all() and image.min() < image.max())
         kinds[ImageKind((image.shape[0], image.shape[1]), binary, channels)] += 1
     if not kinds:
         return None

@@ -68,7 +68,7 @@ def folder_frames(folder: TactileFolder, order: NDArray[np.int64], period_s: flo
             processed=folder.processed,
             label=euler,
             T_base_sensor=surface_contact_pose(euler) if whole else None,
-            force=folder.rows[index].force,
+            force=folder.force[index],
             labelled=(*folder.labelled, *folder.forces),
         )
 

@@ -14,16 +14,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_perception.datasets.dataset import DatasetError
+from tactile_perception.datasets.dataset import DatasetError, open_folder
+from tactile_perception.datasets.folder import TactileFolder
+from tactile_perception.datasets.layout import MARKERS_NAME
 from tactile_perception.markers.labelled import track
 from tactile_perception.training.symmetry import turn
 
 Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
 
 #: Part of the markers that must have been found for an image to tell its field.
 LEAST_FOUND = 0.9
 #: Part of the images whose field must be known.
 LEAST_KNOWN = 0.5
+_AT_REST = 0.05  # part of the contacts that are shallow
 _MARGIN = 1.02  # of the disc around the outermost marker
 
 
@@ -90,26 +94,32 @@ class MarkerFields:
         origin: tuple[float, ...],
         order: int,
         names: list[str],
-        progress: Callable[[int, int], None] | None = None,
+        progress: Progress | None = None,
     ) -> MarkerFields:
-        """Track the markers of a folder's images; `DatasetError` where that does not succeed.
+        """Follow the markers of a folder's images; `DatasetError` where that does not succeed.
 
-        `origin`: of the crop in the camera image.
+        Where a simulator has told where they are, that is taken. Of simulated sensors that took turns each
+        has its own disc, and all together their mean. `origin`: of the crop in the camera image.
         """
-        try:
-            tracked = track(folder, names=names, progress=progress)
-        except ValueError as error:
-            raise DatasetError(f"network.field_order = {order}: {error}") from error
-        rest = tracked.rest - np.array(origin)
-        center = rest.mean(axis=0)
-        radius = _MARGIN * float(np.linalg.norm(rest - center, axis=1).max())
-        basis = polynomials((rest - center) / radius, order)
-        moved = tracked.positions - tracked.rest
-        values = np.full((len(moved), basis.shape[1], 2), np.nan, np.float32)
-        for image in np.flatnonzero(tracked.found >= LEAST_FOUND):
-            seen = np.isfinite(moved[image, :, 0])
-            values[image] = np.linalg.lstsq(basis[seen], moved[image, seen], rcond=None)[0]
-        fields = cls(center, radius, values)
+        source = open_folder(folder)
+        of_name = dict(zip(source.names, source.sensor.tolist(), strict=True))
+        sensor = np.array([of_name[name] for name in names])
+        sensors = [np.flatnonzero(sensor == k) for k in np.unique(sensor)]
+        done = np.cumsum([0, *map(len, sensors)])
+        values = np.full((len(names), (order + 1) * (order + 2) // 2, 2), np.nan, np.float32)
+        discs = []
+        for number, chosen in enumerate(sensors):
+            own = [names[i] for i in chosen]
+            try:
+                rest, positions = _markers(source, own, _part(progress, done, number))
+            except (ValueError, OSError) as error:
+                raise DatasetError(f"network.field_order = {order}: {error}") from error
+            center = rest.mean(axis=0)
+            radius = _MARGIN * float(np.linalg.norm(rest - center, axis=1).max())
+            discs.append((*(center - origin), radius))
+            values[chosen] = _fitted(positions - rest, polynomials((rest - center) / radius, order))
+        *middle, radius = np.mean(discs, axis=0)
+        fields = cls(np.array(middle), float(radius), values)
         if fields.known.mean() < LEAST_KNOWN:
             raise DatasetError(
                 f"network.field_order = {order}: {folder}: the markers could be followed in "
@@ -137,3 +147,37 @@ class MarkerFields:
         variance, axes = np.linalg.eigh((maps @ second @ maps.transpose(0, 2, 1)).mean(axis=0))
         deviation = np.sqrt(np.maximum(variance[::-1], 1e-6))
         return mean, axes[:, ::-1] * np.sqrt(deviation * deviation.mean())
+
+
+def _markers(source: TactileFolder, names: list[str], progress: Progress | None) -> tuple[Array, Array]:
+    """Of one sensor's images: markers at rest (m, 2) and in each (n, m, 2), in pixels of the camera image.
+
+    Followed, or as a simulator knows them: at rest in the mean of the shallowest contacts.
+    """
+    folder = source.folder / MARKERS_NAME
+    if not folder.is_dir():
+        tracked = track(source.folder, names=names, progress=progress)
+        return tracked.rest, tracked.positions
+    files = [(folder / Path(name).name).with_suffix(".npy") for name in names]
+    positions = np.array([np.load(file) for file in files], np.float64)
+    row = {name: i for i, name in enumerate(source.names)}
+    depth = source.euler_mm_deg[[row[name] for name in names], 2]
+    return np.median(positions[depth <= np.quantile(depth, _AT_REST)], axis=0), positions
+
+
+def _fitted(moved: Array, basis: Array) -> NDArray[np.float32]:
+    """Polynomials' numbers (n, F, 2) of displacements (n, m, 2); NaN where too few markers were found."""
+    values = np.full((len(moved), basis.shape[1], 2), np.nan, np.float32)
+    for image, displacement in enumerate(moved):
+        seen = np.isfinite(displacement[:, 0])
+        if seen.mean() >= LEAST_FOUND:
+            values[image] = np.linalg.lstsq(basis[seen], displacement[seen], rcond=None)[0]
+    return values
+
+
+def _part(progress: Progress | None, done: NDArray[np.int64], number: int) -> Progress | None:
+    """Progress over all sensors, for the tracking of one."""
+    if progress is None:
+        return None
+    share, before, tell = done[number + 1] - done[number], done[number], progress
+    return lambda so_far, total: tell(int(total * before / share) + so_far, int(total * done[-1] / share))

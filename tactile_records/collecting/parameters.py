@@ -8,9 +8,7 @@ from typing import Any
 
 from tactile_base.input_file import parse_json, read_text
 from tactile_base.whole_file import whole_file
-from tactile_perception.datasets.layout import DatasetError
-
-PARAMETERS_NAME = "collect_params.json"
+from tactile_perception.datasets.layout import PARAMETERS_NAME, DatasetError
 
 
 def check_same_run(folder: Path, parameters: dict[str, Any]) -> None:

@@ -53,10 +53,10 @@ def learned(words, tmp_path_factory):
 def test_each_round_has_a_network_judged_on_contacts_that_it_never_saw(learned):
     folder, found = learned
     assert [(each.contacts, each.held_back) for each in found] == [(50, 16), (80, 16)]
-    assert len(open_folder(folder / "contacts").rows) == 64
+    assert len(open_folder(folder / "contacts")) == 64
     for total, count in ((50, 40), (80, 64)):
         seen = folder / "rounds" / f"{total:05d}" / "contacts"
-        assert len(open_folder(seen).rows) == count, "as the contacts were then"
+        assert len(open_folder(seen)) == count, "as the contacts were then"
     value, low, high = found[-1].errors["depth"]
     assert 0.0 < low < value < high and set(found[-1].errors) == {"depth", "tilt", "shear", "twist"}
     assert 0.0 <= found[-1].coverage <= 1.0 and found[-1].foreign is not None
@@ -67,9 +67,9 @@ def test_what_is_done_is_not_done_again_and_more_contacts_go_on(learned, words):
     said = []
 
     def none_missing(path, count, validation, enough):
-        before = len(open_folder(path).rows)
+        before = len(open_folder(path))
         collect(path, count, validation, enough)
-        assert len(open_folder(path).rows) == before
+        assert len(open_folder(path)) == before
         return 0
 
     assert Learning(folder, TOTALS, HARD, none_missing, ["--no-such-option"], said.append).run() == found
@@ -109,8 +109,8 @@ def test_a_snapshot_is_whole_and_stays_as_it_was(tmp_path):
     collect(source, 3, False, None)
     copy = snapshot(source, tmp_path / "b" / "contacts")
     collect(source, 5, False, None)
-    assert len(open_folder(copy).rows) == 3 and snapshot(source, copy) == copy
-    assert len(open_folder(copy).rows) == 3
+    assert len(open_folder(copy)) == 3 and snapshot(source, copy) == copy
+    assert len(open_folder(copy)) == 3
 
 
 def test_the_page_shows_rounds_promise_and_examples(learned):

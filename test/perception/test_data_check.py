@@ -439,6 +439,6 @@ def test_a_folder_that_is_none_ends_with_2(tmp_path, capsys):
 
 def test_too_few_images_leave_the_conventions_open_and_say_so(data, tmp_path):
     folder = open_folder(data)
-    few = replace(folder, names=folder.names[:40], euler_mm_deg=folder.euler_mm_deg[:40])
+    few = replace(folder, names=folder.names[:40], pose=folder.pose[:40], shear=folder.shear[:40])
     result = check(few, FlowSettings(samples=60))
     assert any("at least 60 are needed" in text for text in texts(result, "warning"))

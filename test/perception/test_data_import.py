@@ -129,7 +129,7 @@ force:
     imported, said = import_folder(folder, tmp_path / "ours", read_mapping(mapping_file(tmp_path, text)))
     np.testing.assert_allclose(imported.euler_mm_deg, EULER, atol=1e-12)
     assert imported.labelled == EULER_COMPONENTS and imported.forces == ("Fz",)
-    assert imported.rows[0].force.tolist() == [0.0, 0.0, 7.5]
+    assert imported.force[0].tolist() == [0.0, 0.0, 7.5]
     assert said["images"] == {"kind": "gray", "width": 80, "height": 60, "circular": False}
     np.testing.assert_allclose(read_dataset(tmp_path / "ours").euler_mm_deg, EULER, atol=1e-12)
 
@@ -205,8 +205,8 @@ def test_gray_images_with_forces_and_no_crop_are_taken_whole(tmp_path):
     write_images(folder / "sensor_images", images(first=0), (45, 60), binary=False)
     (folder / "sensor_image_params.json").write_text('{"gray": true, "bbox":[0, 0, 0, 0], "dims": [60, 45]}')
     imported, said = import_folder(folder, tmp_path / "ours")
-    assert imported.forces == ("Fx", "Fy", "Fz") and imported.rows[0].force.tolist() == [1, -2, 30]
-    assert np.isnan(imported.rows[5].force).all() and len(imported) == len(EULER)
+    assert imported.forces == ("Fx", "Fy", "Fz") and imported.force[0].tolist() == [1, -2, 30]
+    assert np.isnan(imported.force[5]).all() and len(imported) == len(EULER)
     assert imported.image(0).shape == (45, 60) and imported.image_folder.name == "images"
     assert imported.reference() is None  # number 0 is a contact here
     assert any("Tx" in note for note in said["notes"])

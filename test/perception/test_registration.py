@@ -4,16 +4,18 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.special import eval_jacobi
 
 torch = pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
 pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
 
 from tactile_bringup.cli import main  # noqa: E402
-from tactile_perception.datasets.dataset import DatasetError  # noqa: E402
+from tactile_perception.datasets.dataset import DatasetError, open_folder, read_dataset  # noqa: E402
 from tactile_perception.estimating.estimator import Estimator  # noqa: E402
 from tactile_perception.estimating.model_metadata import ModelMetadata  # noqa: E402
 from tactile_perception.estimating.preprocessing import PreprocessingSettings  # noqa: E402
+from tactile_perception.markers.detection import detect  # noqa: E402
 from tactile_perception.training.config import TrainConfig  # noqa: E402
 from tactile_perception.training.data import load_data, load_start  # noqa: E402
 from tactile_perception.training.export import export_onnx  # noqa: E402
@@ -192,14 +194,17 @@ def test_exported_model_looks_twice_as_the_network_does(tmp_path):
     assert np.ptp(mean, axis=0).min() > 0.01, "the answers depend on the image"
 
 
+def generated(out, count: int, *options: str):
+    """Images of a simulated TacTip, few and shallow, so that their markers can be followed."""
+    given = ("--train", str(count), "--val", "0", "--seed", "1", "--jobs", "1", *options)
+    narrow = ("--set", "disk_radius=1.5e-3", "--set", "cap_angle=0.15")
+    assert main(["data", "generate", str(out), *given, *narrow]) == 0
+    return out / "train"
+
+
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
-    """Images of a simulated TacTip, few and shallow, so that their markers can be followed."""
-    out = tmp_path_factory.mktemp("simulated")
-    options = ("--train", "80", "--val", "0", "--seed", "1", "--jobs", "1")
-    narrow = ("--set", "disk_radius=1.5e-3", "--set", "cap_angle=0.15")
-    assert main(["data", "generate", str(out), *options, *narrow]) == 0
-    return out / "train"
+    return generated(tmp_path_factory.mktemp("simulated"), 80)
 
 
 @pytest.fixture(scope="module")
@@ -235,6 +240,27 @@ def test_a_network_to_start_from_keeps_its_modes_on_another_disc(data, tmp_path)
     first, second = (RunFolder(tmp_path / name).load_best() for name in ("first", "second"))
     torch.testing.assert_close(first["base.modes"], second["base.modes"])
     assert not torch.equal(first["base.shifts"], second["base.shifts"])
+
+
+def test_markers_are_where_the_simulator_says_each_sensor_from_its_own_rest(tmp_path):
+    folder = generated(tmp_path, 60, "--sensors", "2", "--markers", "--sensor", "tactip_franka")
+    data, told = read_dataset(folder), []
+    origin = np.array(data.preprocessing.bbox[:2])
+    fields = MarkerFields.of(folder, origin, 8, data.names, lambda *done: told.append(done))
+    assert fields.known.all() and fields.values.shape == (60, 45, 2)
+    found = []
+    for k, name in enumerate(data.names):
+        markers = np.load((folder / "markers" / name).with_suffix(".npy"))
+        found.append(markers)
+        blobs = cKDTree(detect(open_folder(folder).image(k)).centers + origin)
+        inside = np.hypot(*(markers - origin - fields.center).T) < 0.9 * fields.radius
+        assert np.median(blobs.query(markers[inside])[0]) < 0.5, "pixels, through the camera's variation, too"
+    second = np.array([int(name[6:-4]) % 2 == 0 for name in data.names])  # image_1.png is of the first
+    shallow = data.euler_mm_deg[:, 2] < 1.0
+    for own in (second, ~second):
+        assert np.abs(fields.values[shallow & own, 0].mean(axis=0)).max() < 2.0, "pixels from its own rest"
+    lens = np.abs(np.mean([found[k][0] for k in np.flatnonzero(second)], axis=0) - found[0][0]).max()
+    assert lens > 4.0, "or the sensors would not differ"
 
 
 def test_images_without_the_rings_of_markers_are_refused(training_data):

@@ -23,20 +23,24 @@ def image() -> np.ndarray:
     return sensor.image()
 
 
+def shown(image, settings, depth, rng) -> np.ndarray:
+    return varied(image, np.zeros((0, 2)), settings, depth, rng)[0]
+
+
 def moved(image: np.ndarray, settings: VariationSettings, depth: float, seed: int) -> np.ndarray:
     """Displacement (331, 2) of the markers by a variation."""
     before = detect(image).centers
-    after = detect(varied(image, settings, depth, np.random.default_rng(seed))).centers
+    after = detect(shown(image, settings, depth, np.random.default_rng(seed))).centers
     nearest = np.linalg.norm(before[:, None] - after[None], axis=2).argmin(axis=1)
     return after[nearest] - before
 
 
 def test_without_any_difference_the_image_stays(image):
-    np.testing.assert_array_equal(varied(image, NOTHING, DEEP, np.random.default_rng(0)), image)
+    np.testing.assert_array_equal(shown(image, NOTHING, DEEP, np.random.default_rng(0)), image)
 
 
 def test_the_same_random_numbers_give_the_same_image(image):
-    a, b, c = (varied(image.copy(), VariationSettings(), DEEP, np.random.default_rng(s)) for s in (1, 1, 2))
+    a, b, c = (shown(image.copy(), VariationSettings(), DEEP, np.random.default_rng(s)) for s in (1, 1, 2))
     assert np.array_equal(a, b) and not np.array_equal(a, c)
 
 
@@ -70,13 +74,24 @@ def test_the_field_is_smooth_has_its_size_and_needs_contact(image):
 
 @pytest.mark.parametrize(("gain", "brighter"), [((1.2, 1.2), True), ((0.8, 0.8), False)])
 def test_gain_brightens_or_darkens(image, gain, brighter):
-    mean = varied(image, NOTHING.replaced(gain=gain), DEEP, np.random.default_rng(0)).mean()
+    mean = shown(image, NOTHING.replaced(gain=gain), DEEP, np.random.default_rng(0)).mean()
     assert (mean > image.mean()) == brighter
+
+
+def test_where_the_markers_are_is_told(image):
+    settings = NOTHING.replaced(shift=2.0, scale=0.01, rotation_deg=1.0, field=3.0)
+    before = detect(image).centers
+    for seed in range(5):
+        after, told = varied(image, before, settings, DEEP, np.random.default_rng(seed))
+        blobs = detect(after).centers
+        off = np.linalg.norm(told[:, None] - blobs[None], axis=2).min(axis=1)
+        assert np.median(off) < 0.15 and np.quantile(off, 0.95) < 0.6
+        assert np.linalg.norm(told - before, axis=1).mean() > 1.0
 
 
 def test_markers_grow_and_shrink(image):
     areas = [
-        np.median(detect(varied(image, NOTHING.replaced(marker_growth=1.0), DEEP, rng)).areas)
+        np.median(detect(shown(image, NOTHING.replaced(marker_growth=1.0), DEEP, rng)).areas)
         for rng in map(np.random.default_rng, range(12))
     ]
     usual = np.median(detect(image).areas)
@@ -85,7 +100,7 @@ def test_markers_grow_and_shrink(image):
 
 def test_reflections_lie_outside_the_markers_circle(image):
     settings = NOTHING.replaced(reflections=40)
-    changed = cv2.absdiff(varied(image.copy(), settings, DEEP, np.random.default_rng(5)), image) > 20
+    changed = cv2.absdiff(shown(image.copy(), settings, DEEP, np.random.default_rng(5)), image) > 20
     rows, columns = np.nonzero(changed)
     distance = np.hypot(columns - image.shape[1] / 2, rows - image.shape[0] / 2)
     assert len(distance) > 500 and distance.min() > settings.reflection_radius[0] - 20
