@@ -82,6 +82,7 @@ def _config(arguments: argparse.Namespace) -> Any:
 
 
 def _train_one(arguments: argparse.Namespace) -> int:
+    from tactile_perception.training.processes import Processes
     from tactile_perception.training.progress import TrainingDisplay
     from tactile_perception.training.train import train
 
@@ -93,6 +94,8 @@ def _train_one(arguments: argparse.Namespace) -> int:
     if not _only_quantization_left(arguments, config):
         with TrainingDisplay() as progress:
             train(arguments.data, arguments.out, config, arguments.val, arguments.limit, progress)
+    if not Processes().first:
+        return 0
     _print_result(arguments.out)
     model = arguments.out / MODEL_NAME
     if _quantized(arguments):

@@ -198,6 +198,13 @@ def read_dataset(
     if limit is not None and limit < len(source):
         chosen = np.linspace(0, len(source) - 1, limit).round().astype(int)
         source.report.notes.append(f"took {limit} of {len(source)} samples, spread over the table")
+    return read_rows(source, chosen, progress)
+
+
+def read_rows(
+    source: TactileFolder, chosen: NDArray[np.int64], progress: Callable[[int, int], None] | None = None
+) -> TactileDataset:
+    """Load some samples of an opened folder, as above."""
     kept: list[int] = []
     images: list[Image] = []
     content = Counter[str]()
@@ -215,6 +222,7 @@ def read_dataset(
         digest.update(source.names[index].encode() + b"\0" + label + file_hash.encode())
         if progress is not None:
             progress(count + 1, len(chosen))
+    whole = len(chosen) == len(source)
     source.report.samples = len(kept)
     if not kept:
         raise DatasetError("\n".join([f"{source.folder}: no readable image", *source.report.lines()]))
@@ -225,7 +233,7 @@ def read_dataset(
         force=source.force[kept],
         labelled=(*source.labelled, *source.forces),
         preprocessing=source.preprocessing,
-        sha256=source.sha256 if isinstance(source, ShardedFolder) and limit is None else digest.hexdigest(),
+        sha256=source.sha256 if isinstance(source, ShardedFolder) and whole else digest.hexdigest(),
         report=source.report,
         reference=source.preprocessor().reference,
     )

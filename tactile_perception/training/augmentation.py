@@ -49,20 +49,18 @@ class Augmenter:
         crop_shape : (rows, columns) of the crop that the images were reduced from
         dark : the level that no light changes; mid-gray in differences to the image without contact
         """
-        self.images, self.settings, self._dark = images, settings, np.float32(dark)
+        self.settings, self._dark = settings, np.float32(dark)
         self.size = images.shape[1] // SCALE
         self._geometry = CropGeometry(crop_shape, images.shape[1])
-        self.center, self.correlation = self._find_center(depth)
+        self.center, self.correlation = self._find_center(images, depth)
         self._disk = self._geometry.disk(self.center, settings.symmetry_radius)
 
-    def __call__(
-        self, chosen: NDArray[np.int64], rng: np.random.Generator
-    ) -> tuple[Image, NDArray[np.int64]]:
-        """Images uint8 (n, size, size[, 3]) of the samples `chosen` (n,), and the turns of each (n,)."""
-        turns = rng.integers(0, self.settings.symmetry, len(chosen))
-        result = np.empty((len(chosen), self.size, self.size, *self.images.shape[3:]), np.uint8)
-        for image, index, k in zip(result, chosen, turns, strict=True):
-            changed = self._changed(self.images[index], int(k), rng)
+    def __call__(self, images: Image, rng: np.random.Generator) -> tuple[Image, NDArray[np.int64]]:
+        """Images (n, SCALE * size, SCALE * size[, 3]) as (n, size, size[, 3]), and the turns of each (n,)."""
+        turns = rng.integers(0, self.settings.symmetry, len(images))
+        result = np.empty((len(images), self.size, self.size, *images.shape[3:]), np.uint8)
+        for image, large, k in zip(result, images, turns, strict=True):
+            changed = self._changed(large, int(k), rng)
             cv2.resize(changed, (self.size, self.size), dst=image, interpolation=cv2.INTER_AREA)
         return result, turns
 
@@ -91,14 +89,14 @@ class Augmenter:
             image = np.clip(self._dark + factor * (image - self._dark), 0.0, 255.0).astype(np.uint8)
         return image
 
-    def _find_center(self, depth: Array) -> tuple[Array, float]:
+    def _find_center(self, images: Image, depth: Array) -> tuple[Array, float]:
         settings = self.settings
         if settings.symmetry_center:
             return np.array(settings.symmetry_center), float("nan")
         if settings.symmetry == 1:
             return self._geometry.to_crop(np.full(2, (self._geometry.side - 1) / 2.0)), float("nan")
         center, correlation = find_center(
-            self.images, depth, self._geometry, settings.symmetry, settings.symmetry_radius - 9.0
+            images, depth, self._geometry, settings.symmetry, settings.symmetry_radius - 9.0
         )
         if correlation < MIN_CORRELATION:
             raise AugmentationError(

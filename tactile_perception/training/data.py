@@ -16,8 +16,16 @@ from torch import Tensor, nn
 
 from tactile_base.input_file import parse_json, read_text
 from tactile_base.settings import SettingError
-from tactile_perception.datasets.dataset import DatasetError, TactileDataset, read_dataset, training_part
+from tactile_perception.datasets.dataset import (
+    DatasetError,
+    TactileDataset,
+    open_folder,
+    read_dataset,
+    read_rows,
+    training_part,
+)
 from tactile_perception.datasets.layout import parts_of
+from tactile_perception.datasets.shards import ShardedFolder
 from tactile_perception.estimating.contact_model import CONTACT_MODELS, SURFACE, ContactModel
 from tactile_perception.estimating.image import Image
 from tactile_perception.estimating.model_metadata import split_holdback
@@ -25,6 +33,7 @@ from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.evaluation.calibration import CalibrationError
 from tactile_perception.training.augmentation import SCALE
 from tactile_perception.training.config import TrainConfig
+from tactile_perception.training.feed import Feed, MemoryFeed, ShardFeed, spread_rows
 from tactile_perception.training.marker_field import MarkerFields
 from tactile_perception.training.run_folder import BEST_NAME, CONFIG_NAME, FACTS_NAME, RunFolder
 from tactile_perception.training.settings import NetworkSettings
@@ -43,6 +52,10 @@ _FREE = {
     "mse_weights",
     "redraw_radius",
 }
+
+
+#: Rows to train on, and rows held out.
+Split = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
@@ -74,6 +87,7 @@ class RunData:
     start : the network to start from; None: random weights
     reference : the image without contact, where images are compared with it
     fields : of the markers in the training images, where the network finds them
+    streamed : all training samples, where `training` and `large` are some of them only
     """
 
     training: Samples
@@ -87,6 +101,13 @@ class RunData:
     start: Start | None = None
     reference: Image | None = None
     fields: MarkerFields | None = None
+    streamed: ShardFeed | None = None
+
+    @property
+    def feed(self) -> Feed:
+        """Where a run's batches come from."""
+        images = self.training.images if self.large is None else self.large
+        return self.streamed or MemoryFeed(images, self.training.labels)
 
     def started(self, start: Start | None) -> RunData:
         """With the network to start from; `SettingError` if it takes images of other colors."""
@@ -115,17 +136,64 @@ def load_data(
     changes = {"size": network.image_size, "redraw_radius": network.redraw_radius}
     scale = SCALE if config.augmentation.active else 1
     large = {**changes, "size": scale * network.image_size}
-    training = read_dataset(train_dir, changes=large, limit=limit, progress=progress, complete=False)
+    streamed = _beyond_memory(train_dir, large, config) if limit is None else None
+    if streamed is None:
+        training = read_dataset(train_dir, changes=large, limit=limit, progress=progress, complete=False)
+        split = split_holdback(len(training), config.training.holdback)
+    else:
+        whole = split_holdback(len(streamed), config.training.holdback)
+        training, split = _read_some(streamed, whole, progress)
     validation = None
     if validation_dir is not None:
-        validation = read_dataset(validation_dir, changes=changes, progress=progress, complete=False)
+        beyond = _beyond_memory(validation_dir, changes, config)
+        if beyond is None:
+            validation = read_dataset(validation_dir, changes=changes, progress=progress, complete=False)
+        else:
+            validation = _read_some(beyond, (np.arange(len(beyond)), np.arange(0)), progress)[0]
     preprocessing = training.preprocessing.replaced(**changes)
     if validation is not None and preprocessing != validation.preprocessing:
         raise DatasetError(
             f"{train_dir} and {validation_dir} were pre-processed differently: the first has "
             f"{preprocessing.differences(validation.preprocessing)}"
         )
-    return arrange(training, validation, config, preprocessing, following).started(start)
+    data = arrange(training, validation, config, preprocessing, following, split).started(start)
+    return data if streamed is None else _streaming(data, streamed, whole, split)
+
+
+def _beyond_memory(folder: Path | str, changes: dict[str, Any], config: TrainConfig) -> ShardedFolder | None:
+    """The shards of a folder whose images need more memory than they may."""
+    source = open_folder(folder)
+    source.preprocessing = settings = source.preprocessing.replaced(**changes)
+    needed = len(source) * settings.size**2 * settings.channels / 2**30
+    too_large = isinstance(source, ShardedFolder) and needed > config.training.images_in_memory
+    return source if isinstance(source, ShardedFolder) and too_large else None
+
+
+def _read_some(
+    source: ShardedFolder, split: Split, progress: Callable[[int, int], None] | None
+) -> tuple[TactileDataset, Split]:
+    """Some samples of both parts of a split, and which of them are of which part."""
+    parts = [spread_rows(source, rows) for rows in split]
+    rows = np.union1d(*parts)
+    data = read_rows(source, rows, progress)
+    if len(data) != len(rows):
+        raise DatasetError("\n".join([f"{source.folder}: unusable images", *data.report.lines()]))
+    data.report.notes.append(f"of {len(source)} samples in shards {len(rows)} are in memory")
+    return data, (np.searchsorted(rows, parts[0]), np.searchsorted(rows, parts[1]))
+
+
+def _streaming(data: RunData, source: ShardedFolder, whole: Split, split: Split) -> RunData:
+    """A run on the shards, of which `data` has some samples in memory."""
+    kept, held_out = whole
+    labelled = (*source.labelled, *source.forces)
+    labels = data.model.labels(source.euler_mm_deg[kept], source.force[kept], labelled)
+    fields = data.fields
+    if fields is not None:
+        rows = np.union1d(*(spread_rows(source, part) for part in whole))
+        fields = fields.among(len(kept), np.searchsorted(kept, rows[split[0]]))
+    counts = {"samples": len(kept), "held_out": len(held_out)}
+    facts = {**data.facts, **counts, "sha256": source.sha256, "streamed": True}
+    return dataclasses.replace(data, streamed=ShardFeed(source, kept, labels), fields=fields, facts=facts)
 
 
 def arrange(
@@ -134,15 +202,17 @@ def arrange(
     config: TrainConfig,
     preprocessing: PreprocessingSettings,
     following: Callable[[int, int], None] | None = None,
+    split: Split | None = None,
 ) -> RunData:
     """Hold samples back and reduce images to the network's size where that is still to be done.
 
     Where the network is to find the markers' field, they are followed in the training images. Without data to
-    validate on, what is held back does that as well.
+    validate on, what is held back does that as well. `split`: rows to train on and rows held out, where that
+    is decided.
     """
     named = CONTACT_MODELS.load(config.training.model)
     model = named.narrowed(training.labelled, training.report.folder)
-    kept, held_out = split_holdback(len(training), config.training.holdback)
+    kept, held_out = split or split_holdback(len(training), config.training.holdback)
     large = training.images[kept] if config.augmentation.active else None
     samples = Samples(reduced(training.images, preprocessing.size), training.labels_for(model))
     facts = {

@@ -128,6 +128,12 @@ class MarkerFields:
             )
         return fields
 
+    def among(self, count: int, rows: NDArray[np.int64]) -> MarkerFields:
+        """As rows of so many samples, the others of which are not known."""
+        values = np.full((count, *self.values.shape[1:]), np.nan, np.float32)
+        values[rows] = self.values
+        return MarkerFields(self.center, self.radius, values)
+
     @property
     def known(self) -> NDArray[np.bool_]:
         """(N,)"""

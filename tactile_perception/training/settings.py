@@ -170,6 +170,10 @@ class TrainingSettings(Settings):
         doc="what stays as it was in the start: nothing; convolutions: normalization and head learn; "
         "base: only the head learns",
     )  # fmt: skip
+    images_in_memory: float = setting(
+        8.0, unit="GiB", lower=0.0, upper=1e5,
+        doc="data in shards whose images need more are streamed, and validated and calibrated on a part",
+    )  # fmt: skip
     least_steps: int = setting(
         0, lower=0, upper=10**7,
         doc="steps of the whole schedule at least: an epoch of few samples shows each of them several times",

@@ -7,6 +7,7 @@ import dataclasses
 import math
 import time
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from tactile_perception.estimating.image import Image
 from tactile_perception.estimating.layout import Layout
 from tactile_perception.estimating.model_metadata import MODEL_NAME, ModelMetadata
 from tactile_perception.estimating.novelty import Novelty
@@ -23,9 +25,11 @@ from tactile_perception.estimating.preprocessing import MID_GRAY
 from tactile_perception.evaluation.calibration import Calibration, fit_calibration
 from tactile_perception.training.augmentation import Augmenter
 from tactile_perception.training.config import TrainConfig
-from tactile_perception.training.data import RunData, Samples, check_samples, load_data
+from tactile_perception.training.data import RunData, Samples, check_samples, load_data, reduced
 from tactile_perception.training.export import export_onnx
+from tactile_perception.training.loss import StepLoss
 from tactile_perception.training.network import PoseNetwork, WeightAverage
+from tactile_perception.training.processes import Processes
 from tactile_perception.training.progress import TimeLeft, TrainingProgress
 from tactile_perception.training.registration import FieldTargets, Registration
 from tactile_perception.training.run_folder import Epoch, RunFolder, TrainResult
@@ -34,8 +38,6 @@ from tactile_perception.training.symmetry import SymmetryAxis
 
 __all__ = ["Epoch", "TrainConfig", "TrainResult", "TrainingProgress", "train"]
 _EVALUATION_BATCH = 100
-#: The last layers see so many fields as they were followed for each image: these cost next to nothing.
-FIELDS_A_SAMPLE = 8
 
 
 def train(
@@ -65,20 +67,32 @@ def train(
     progress = progress or TrainingProgress()
     folder = RunFolder(out_dir)
     folder.check_free()  # before the images are read
-    data = load_data(Path(data_dir), validation_dir, config, limit, progress.loading, progress.following)
-    return train_network(data, folder, config, progress)
+    with Processes() as processes:
+        if not processes.first:
+            progress = TrainingProgress()
+        data = load_data(Path(data_dir), validation_dir, config, limit, progress.loading, progress.following)
+        return train_network(data, folder, config, progress, processes)
 
 
 def train_network(
-    data: RunData, folder: RunFolder, config: TrainConfig, progress: TrainingProgress
+    data: RunData,
+    folder: RunFolder,
+    config: TrainConfig,
+    progress: TrainingProgress,
+    processes: Processes | None = None,
 ) -> TrainResult:
-    """Train on data in memory, from the start or from the state in the run folder."""
+    """Train on data that have been read, from the start or from the state in the run folder.
+
+    Where several processes train together, the first writes to the folder.
+    """
     # What cannot be trained is refused here, before anything is written that would be in the way of another.
     check_samples(data, config)
-    run = _Run(data, config)
-    resume = folder.open(config, data.facts, data.report)
-    settings = config.training
-    history = run.restore(folder.load_state()) if resume else _History()
+    processes = processes or Processes()
+    run = _Run(data, config, processes)
+    first, settings = processes.first, config.training
+    resume = first and folder.open(config, data.facts, data.report)
+    state = processes.told(folder.load_state() if resume else None)
+    history = run.restore(state) if state is not None else _History()
     remaining = TimeLeft(settings.epochs, run.steps_per_epoch, settings.batch_size, len(data.validation))
     progress.learning(data.model)
     progress.start(settings.epochs, run.steps_per_epoch, run.loss_name, len(history.epochs))
@@ -88,19 +102,21 @@ def train_network(
         history.add(epoch, settings.epochs, settings.patience, settings.max_minutes)
         if not run.usable:
             history.stopped = "the network's weights were not finite any more"
-        if epoch.best:
-            folder.save_best(weights)
-        folder.write_epochs(history.epochs, run.loss_name, data.model.columns)
-        folder.save_state(run.state(history))
+        if first:
+            if epoch.best:
+                folder.save_best(weights)
+            folder.write_epochs(history.epochs, run.loss_name, data.model.columns)
+            folder.save_state(run.state(history))
         progress.epoch(epoch)
     if history.best is None:
         raise FloatingPointError(
             f"the validation loss was never finite: lower the learning rate (stopped: {history.stopped})"
         )
-    validation = run.finish(folder, history.best)
     model_path = folder.file(MODEL_NAME)
     result = TrainResult(model_path, history.best, history.epochs, history.stopped, history.minutes)
-    folder.finish(result, run.loss_name, validation, data.model)
+    if first:
+        folder.finish(result, run.loss_name, run.finish(folder, history.best), data.model)
+    processes.told(None)  # that it is finished
     return result
 
 
@@ -133,39 +149,46 @@ class _History:
 class _Run:
     """Network, optimizer and data of one run."""
 
-    def __init__(self, data: RunData, config: TrainConfig) -> None:
+    def __init__(self, data: RunData, config: TrainConfig, processes: Processes) -> None:
         settings = config.training
+        processes.share(settings.batch_size, len(data.feed.labels))
         torch.manual_seed(settings.seed)
         if settings.threads:
             torch.set_num_threads(settings.threads)
         keep_freed_memory()
-        self.config, self.data = config, data
-        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self.config, self.data, self.processes = config, data, processes
+        self.device = processes.device
         self.layout = torch.channels_last if settings.channels_last else torch.contiguous_format
         self.network = PoseNetwork(config.network, data.model, data.preprocessing.channels)
         self.loss_name = self.network.distribution.name
-        self.images = torch.from_numpy(data.training.images).to(self.device)
-        self.labels = torch.from_numpy(data.training.labels.astype(np.float32)).to(self.device)
-        self.network.start_from(self.labels.cpu())
+        self.feed = data.feed
+        labels = torch.from_numpy(self.feed.labels.astype(np.float32))
+        self.network.start_from(labels)
         if data.start is not None:
             data.start.give(self.network)
-        self.fields = self._place_fields()
+        fields = self._place_fields()
         self.network.to(self.device).to(memory_format=self.layout)  # type: ignore[call-overload]
         self.axis: SymmetryAxis | None = None
         self.augmenter = self._augmenter()
         self.optimizer = self._optimizer()
         self.average = WeightAverage(self.network, settings.average_decay)
-        # A last batch of one sample would leave batch normalization without a variance.
-        self.steps_per_pass = max(1, len(data.training) // settings.batch_size)
-        self.passes = max(1, math.ceil(settings.least_steps / (settings.epochs * self.steps_per_pass)))
-        self.steps_per_epoch = self.passes * self.steps_per_pass
+        self.loss = StepLoss(self.network, self.axis, fields, labels.to(self.device), settings)
+        self.joined = processes.joined(self.loss, partly_used=self.axis is not None)
+        steps_per_pass = self.feed.steps(settings.batch_size, processes)
+        self.passes = max(1, math.ceil(settings.least_steps / (settings.epochs * steps_per_pass)))
+        self.steps_per_epoch = self.passes * steps_per_pass
 
     def epoch(
         self, number: int, best: Epoch | None, progress: TrainingProgress, remaining: TimeLeft
     ) -> tuple[Epoch, dict[str, Tensor]]:
-        """Training data, each sample once or more often, and a validation; epoch and validated weights."""
+        """Training data, each sample once or more often, and a validation; epoch and validated weights.
+
+        The first process validates; the others have no weights from it.
+        """
         started = time.monotonic()
         train_loss = self._train_epoch(number, progress, remaining)
+        if not self.processes.first:
+            return self.processes.told(None), {}  # type: ignore[return-value]
         trained = time.monotonic()
         with self.average.in_place():
             low = self.config.training.precision
@@ -177,13 +200,19 @@ class _Run:
         remaining.validation(ended - trained)
         left = remaining.seconds(number + 1) or 0.0
         epoch = Epoch(number, rate, train_loss, validation_loss, mae, ended - started, bool(better), left)
-        return epoch, weights
+        return self.processes.told(epoch), weights
 
     def _train_epoch(self, number: int, progress: TrainingProgress, remaining: TimeLeft) -> float:
         settings = self.config.training
         # Every epoch has random numbers of its own, so that a resumed run draws those of a whole one.
         torch.manual_seed(int(np.random.SeedSequence([settings.seed, number]).generate_state(1)[0]))
-        rng = np.random.default_rng([settings.seed, number])
+        order = rng = np.random.default_rng([settings.seed, number])
+        if self.processes.count > 1:  # one order for all, but dropout and augmentation of their own
+            rng = np.random.default_rng([settings.seed, number, self.processes.rank])
+            torch.manual_seed(int(rng.integers(2**62)))
+        batches = chain.from_iterable(
+            self.feed.batches(settings.batch_size, order, self.processes) for _ in range(self.passes)
+        )
         self.network.train()
         if settings.frozen == "base":
             self.network.base.eval()  # statistics of its normalization, too
@@ -193,11 +222,8 @@ class _Run:
             moment = number + step / self.steps_per_epoch
             for group in self.optimizer.param_groups:
                 group["lr"] = learning_rate(moment, settings) * group["factor"]
-            within = step % self.steps_per_pass
-            if within == 0:
-                order = rng.permutation(len(self.images))
-            chosen = order[within * settings.batch_size : (within + 1) * settings.batch_size]
-            loss = self._step_loss(chosen, moment, rng)
+            rows, images = next(batches)
+            loss = self._step(rows, images, moment, rng)
             self.optimizer.zero_grad(set_to_none=True)
             loss.backward()
             self.optimizer.step()
@@ -207,60 +233,27 @@ class _Run:
             remaining.step(now - before)
             before = now
             progress.step(number, step, total / (step + 1), remaining.seconds(number, step + 1))
-        return total / self.steps_per_epoch
+        return self.processes.mean(total / self.steps_per_epoch)
 
     @property
     def usable(self) -> bool:
         """Whether all weights are finite; once one is not, no step brings it back."""
         return all(bool(torch.isfinite(weight).all()) for weight in self.network.parameters())
 
-    def _step_loss(self, chosen: NDArray[np.int64], moment: float, rng: np.random.Generator) -> Tensor:
+    def _step(
+        self, rows: NDArray[np.int64], images: Image, moment: float, rng: np.random.Generator
+    ) -> Tensor:
         """Loss on some samples, augmented where that is asked for."""
-        settings, samples = self.config.training, torch.from_numpy(chosen).to(self.device)
-        images, turns = self.images[samples], np.zeros(len(chosen), np.int64)
-        augmented = moment < settings.epochs - self.config.augmentation.plain_epochs
+        settings, turns = self.config.augmentation, np.zeros(len(rows), np.int64)
+        augmented = moment < self.config.training.epochs - settings.plain_epochs
         if self.augmenter is not None and augmented:
-            changed, turns = self.augmenter(chosen, rng)
-            images = torch.from_numpy(changed).to(self.device)
-        labels = self._labels(samples, turns)
-        if self.fields is None:
-            with self._autocast():
-                raw = self.network(self._input(images))
-            return self.network.distribution.loss(labels, raw)
-        base = self.network.base
-        assert isinstance(base, Registration)
-        with self._autocast():
-            coarse, fine = base.looks(self._input(images))
-        wanted = self.fields(samples, turns)
-        loss = self.network.distribution.loss(labels, self.network.answer(fine))
-        for found in (coarse, fine):
-            error = found - wanted[:, : found.shape[1]]
-            loss = loss + settings.field_weight * torch.nan_to_num(error).square().mean()
-        return loss + self._loss_of_fields(augmented, rng)
-
-    def _loss_of_fields(self, augmented: bool, rng: np.random.Generator) -> Tensor:
-        """Loss of the last layers on fields that were followed in many images, with errors as the base's."""
-        assert self.fields is not None
-        settings, order = self.config.training, self.config.augmentation.symmetry if augmented else 1
-        chosen = rng.choice(self.fields.known, FIELDS_A_SAMPLE * settings.batch_size)
-        samples = torch.from_numpy(chosen).to(self.device)
-        turns = rng.integers(0, order, len(chosen))
-        fields = self.fields(samples, turns)
-        fields = fields + settings.field_noise * torch.randn_like(fields)
-        return self.network.distribution.loss(self._labels(samples, turns), self.network.answer(fields))
-
-    def _labels(self, samples: Tensor, turns: NDArray[np.int64]) -> Tensor:
-        labels = self.labels[samples]
-        # on what is not turned the axis has no part, and no step of the optimizer is to move it
-        return (
-            labels
-            if self.axis is None or not turns.any()
-            else self.axis(labels, torch.from_numpy(turns).to(self.device))
-        )
-
-    def _autocast(self) -> torch.autocast:
-        enabled = self.config.training.precision == "bf16"
-        return torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=enabled)
+            images, turns = self.augmenter(images, rng)
+        else:
+            images = reduced(images, self.config.network.image_size)
+        drawn = self.loss.draw(settings.symmetry if augmented else 1, rng)
+        inputs, samples = (torch.from_numpy(array).to(self.device) for array in (images, rows))
+        loss: Tensor = self.joined(self._input(inputs), samples, turns, drawn)
+        return loss
 
     def _place_fields(self) -> FieldTargets | None:
         """What the network's base is to find; its disc and scale come from there."""

@@ -559,9 +559,9 @@ def test_last_epochs_can_be_plain(training_data, tmp_path, monkeypatch):
     turned: list[int] = []
     original = Augmenter.__call__
 
-    def counted(self, chosen, rng):
-        turned.append(len(chosen))
-        return original(self, chosen, rng)
+    def counted(self, images, rng):
+        turned.append(len(images))
+        return original(self, images, rng)
 
     monkeypatch.setattr(Augmenter, "__call__", counted)
     augmentation = AugmentationSettings(shift=1.0, plain_epochs=1.0)
