@@ -90,6 +90,20 @@ class TactileFolder:
         except (ImageError, OSError):
             return None
 
+    def markers(self, index: int) -> Array | None:
+        """Where the markers are in camera image `index` (n, 2), column and row; None where nobody tells.
+
+        `DatasetError` for a file that is damaged.
+        """
+        folder = self.folder / layout.MARKERS_NAME
+        if not folder.is_dir():
+            return None
+        path = (folder / Path(self.names[index]).name).with_suffix(".npy")
+        try:
+            return np.asarray(np.load(path), np.float64)
+        except (OSError, ValueError) as error:
+            raise DatasetError(f"{path}: cannot be read: {error}") from error
+
     def preprocessor(self) -> Preprocessor:
         """For its images, with the one without contact where they are compared with that.
 

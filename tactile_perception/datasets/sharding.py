@@ -59,6 +59,7 @@ def write_shards(
     pairs = np.random.default_rng(settings.seed).permutation(pairs)
     parts = np.array_split(pairs, max(1, round(len(pairs) / settings.file_rows)))
     said |= {"files": len(parts), "plan": _plan(folders, settings)}
+    said["markers"] = all(folder.markers(0) is not None for folder in folders)
     sensors = _numbered([folder.sensor for folder in folders])
     out.mkdir(parents=True, exist_ok=True)
     done = 0
@@ -144,9 +145,9 @@ def _rows(
         try:
             data = folder.stored(row)
             image = folder.image(row, data)  # whether it is one
+            return data if preprocessor is None else as_png(preprocessor.processed(image))
         except ImageError as error:
             return error
-        return data if preprocessor is None else as_png(preprocessor.processed(image))
 
     with ThreadPoolExecutor(1 if any(preprocessors) else None) as pool:  # a preprocessor has buffers
         for start in range(0, len(part), _AT_ONCE):
@@ -158,6 +159,7 @@ def _rows(
                     folder.report.samples -= 1
                     yield None
                     continue
+                markers = folder.markers(row)
                 yield {
                     shards.NAME: folder.names[row] if len(folders) == 1 else f"{k}/{folder.names[row]}",
                     shards.IMAGE: data,
@@ -165,6 +167,7 @@ def _rows(
                     shards.SHEAR: folder.shear[row],
                     shards.FORCE: folder.force[row],
                     shards.SENSOR: sensors[k][row],
+                    shards.MARKERS: None if markers is None else markers.ravel(),
                 }
 
 
@@ -184,6 +187,7 @@ def _written(
         shards.SHEAR: vector(len(EULER_COMPONENTS)),
         shards.FORCE: vector(len(FORCE_COLUMNS)),
         shards.SENSOR: pyarrow.int64(),
+        shards.MARKERS: pyarrow.list_(pyarrow.float32()),
     }
     digest, kept = hashlib.sha256(), []
     for row in rows:

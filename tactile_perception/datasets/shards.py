@@ -13,7 +13,7 @@ import hashlib
 import json
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_perception.datasets.folder import TactileFolder
+from tactile_perception.datasets.folder import Array, TactileFolder
 from tactile_perception.datasets.image_settings import image_settings
 from tactile_perception.datasets.layout import DatasetError, DatasetReport
 from tactile_perception.estimating.image import Image, ImageKind, unpacked
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 SUFFIX = ".parquet"
 METADATA_KEY = b"tactile_servoing"
 IMAGE, NAME, POSE, SHEAR, FORCE, SENSOR = "image", "name", "pose", "shear", "force", "sensor"
+MARKERS = "markers"  # only where a simulator knows them
 #: What all files of a data set must have in common.
 COMMON = ("preprocessing", "kind", "labelled", "forces", "reference")
 _AT_HAND = 4  # groups of images that were read last
@@ -64,10 +65,10 @@ class Group:
     start: int
     stop: int
 
-    def images(self) -> ChunkedArray:
-        """The stored images; `DatasetError` for a damaged file."""
+    def column(self, name: str) -> ChunkedArray:
+        """What the rows have of it, as the images; `DatasetError` for a damaged file."""
         with _opened(self.path) as file:
-            return _read(self.path, partial(file.read_row_group, self.number, columns=[IMAGE]))[IMAGE]
+            return _read(self.path, partial(file.read_row_group, self.number, columns=[name]))[name]
 
 
 @dataclass
@@ -83,22 +84,32 @@ class ShardedFolder(TactileFolder):
     groups: list[Group] = field(default_factory=list)
     sha256: str = ""
     packed_reference: str | None = None
+    has_markers: bool = False
 
     def __post_init__(self) -> None:
         self._starts = np.array([group.start for group in self.groups])
-        self._recent: OrderedDict[int, ChunkedArray] = OrderedDict()
+        self._recent: OrderedDict[tuple[int, str], ChunkedArray] = OrderedDict()
         self._lock = threading.Lock()
 
     def stored(self, index: int) -> bytes:
+        data: bytes = self._value(index, IMAGE)
+        return data
+
+    def markers(self, index: int) -> Array | None:
+        if not self.has_markers:
+            return None
+        return np.array(self._value(index, MARKERS), np.float64).reshape(-1, 2)
+
+    def _value(self, index: int, column: str) -> Any:
         number = int(np.searchsorted(self._starts, index, side="right")) - 1
+        key = number, column
         with self._lock:
-            if number not in self._recent:
-                self._recent[number] = self.groups[number].images()
+            if key not in self._recent:
+                self._recent[key] = self.groups[number].column(column)
                 if len(self._recent) > _AT_HAND:
                     self._recent.popitem(last=False)
-            images = self._recent[number]
-        data: bytes = images[index - self.groups[number].start].as_py()
-        return data
+            values = self._recent[key]
+        return values[index - self.groups[number].start].as_py()
 
     def reference(self) -> Image | None:
         return self._reference
@@ -118,6 +129,8 @@ def open_shards(folder: Path, preprocessing: PreprocessingSettings | None = None
     paths = sorted(folder.glob(f"*{SUFFIX}"))
     said, tables, groups = _contents(paths)
     _check_together(paths, said)
+    if not groups:
+        raise DatasetError(f"{folder}: no usable sample in its shards")
     first = said[0]
     report = DatasetReport(folder, groups[-1].stop, groups[-1].stop, notes=[f"shards: {len(paths)} files"])
     kind = ImageKind(tuple(first["kind"][0]), *first["kind"][1:])
@@ -153,6 +166,7 @@ def open_shards(folder: Path, preprocessing: PreprocessingSettings | None = None
         groups=groups,
         sha256=hashlib.sha256("".join(s["sha256"] for s in said).encode()).hexdigest(),
         packed_reference=first["reference"],
+        has_markers=all(one["markers"] for one in said),
     )
 
 
@@ -216,7 +230,7 @@ def _opened(path: Path) -> ParquetFile:
     return opened
 
 
-def _read(path: Path, read: Any) -> Any:
+def _read(path: Path, read: Callable[[], Any]) -> Any:
     from pyarrow import ArrowException
 
     try:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_perception.datasets.layout import DatasetError
-from tactile_perception.datasets.shards import ShardedFolder
+from tactile_perception.datasets.shards import IMAGE, ShardedFolder
 from tactile_perception.estimating.image import Image
 from tactile_perception.training.processes import Processes
 
@@ -99,7 +99,7 @@ class ShardFeed:
 
     def _stored(self, group: int) -> list[tuple[int, bytes]]:
         """Samples of a group: rows of `labels`, and images as they are stored."""
-        images, first = self._source.groups[group].images(), self._source.groups[group].start
+        images, first = self._source.groups[group].column(IMAGE), self._source.groups[group].start
         samples = range(*self._slices[group])
         return [(sample, images[int(self._rows[sample]) - first].as_py()) for sample in samples]
 

@@ -27,10 +27,11 @@ class StepLoss(nn.Module):
         fields: FieldTargets | None,
         labels: Tensor,
         settings: TrainingSettings,
+        low_precision: bool,
     ) -> None:
-        """`labels` (N, K) of all training samples."""
+        """`labels` (N, K) of all training samples; `low_precision`: the base computes in bf16."""
         super().__init__()
-        self.network, self.axis = network, axis
+        self.network, self.axis, self._low_precision = network, axis, low_precision
         self._fields, self._labels, self._settings = fields, labels, settings
 
     def draw(self, order: int, rng: np.random.Generator) -> tuple[Turns, Turns] | None:
@@ -79,5 +80,4 @@ class StepLoss(nn.Module):
         return turned
 
     def _autocast(self, images: Tensor) -> torch.autocast:
-        enabled = self._settings.precision == "bf16"
-        return torch.autocast(images.device.type, dtype=torch.bfloat16, enabled=enabled)
+        return torch.autocast(images.device.type, dtype=torch.bfloat16, enabled=self._low_precision)

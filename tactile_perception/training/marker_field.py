@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from tactile_perception.datasets.dataset import DatasetError, open_folder
 from tactile_perception.datasets.folder import TactileFolder
-from tactile_perception.datasets.layout import MARKERS_NAME
 from tactile_perception.markers.labelled import track
 from tactile_perception.training.symmetry import turn
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
 Progress = Callable[[int, int], None]
 
 #: Part of the markers that must have been found for an image to tell its field.
@@ -102,17 +102,22 @@ class MarkerFields:
         has its own disc, and all together their mean. `origin`: of the crop in the camera image.
         """
         source = open_folder(folder)
-        of_name = dict(zip(source.names, source.sensor.tolist(), strict=True))
-        sensor = np.array([of_name[name] for name in names])
+        row_of = {name: row for row, name in enumerate(source.names)}
+        rows = np.array([row_of[name] for name in names])
+        sensor = source.sensor[rows]
         sensors = [np.flatnonzero(sensor == k) for k in np.unique(sensor)]
-        done = np.cumsum([0, *map(len, sensors)])
+        done, told = np.cumsum([0, *map(len, sensors)]), _told(source, rows)
         values = np.full((len(names), (order + 1) * (order + 2) // 2, 2), np.nan, np.float32)
         discs = []
         for number, chosen in enumerate(sensors):
-            own = [names[i] for i in chosen]
+            own = rows[chosen]
             try:
-                rest, positions = _markers(source, own, _part(progress, done, number))
-            except (ValueError, OSError) as error:
+                rest, positions = (
+                    _followed(source, own, _part(progress, done, number))
+                    if told is None
+                    else _with_rest(told[chosen], source.euler_mm_deg[own, 2])
+                )
+            except ValueError as error:
                 raise DatasetError(f"network.field_order = {order}: {error}") from error
             center = rest.mean(axis=0)
             radius = _MARGIN * float(np.linalg.norm(rest - center, axis=1).max())
@@ -128,7 +133,7 @@ class MarkerFields:
             )
         return fields
 
-    def among(self, count: int, rows: NDArray[np.int64]) -> MarkerFields:
+    def among(self, count: int, rows: Rows) -> MarkerFields:
         """As rows of so many samples, the others of which are not known."""
         values = np.full((count, *self.values.shape[1:]), np.nan, np.float32)
         values[rows] = self.values
@@ -155,19 +160,20 @@ class MarkerFields:
         return mean, axes[:, ::-1] * np.sqrt(deviation * deviation.mean())
 
 
-def _markers(source: TactileFolder, names: list[str], progress: Progress | None) -> tuple[Array, Array]:
-    """Of one sensor's images: markers at rest (m, 2) and in each (n, m, 2), in pixels of the camera image.
+def _followed(source: TactileFolder, rows: Rows, progress: Progress | None) -> tuple[Array, Array]:
+    """Of one sensor's images: markers at rest (m, 2) and in each (n, m, 2), in pixels of the camera image."""
+    tracked = track(source.folder, names=[source.names[row] for row in rows], progress=progress)
+    return tracked.rest, tracked.positions
 
-    Followed, or as a simulator knows them: at rest in the mean of the shallowest contacts.
-    """
-    folder = source.folder / MARKERS_NAME
-    if not folder.is_dir():
-        tracked = track(source.folder, names=names, progress=progress)
-        return tracked.rest, tracked.positions
-    files = [(folder / Path(name).name).with_suffix(".npy") for name in names]
-    positions = np.array([np.load(file) for file in files], np.float64)
-    row = {name: i for i, name in enumerate(source.names)}
-    depth = source.euler_mm_deg[[row[name] for name in names], 2]
+
+def _told(source: TactileFolder, rows: Rows) -> Array | None:
+    """Markers (n, m, 2) as a simulator knows them; None where it does not tell."""
+    found = [source.markers(row) for row in rows.tolist()] if source.markers(int(rows[0])) is not None else []
+    return np.array(found) if found else None
+
+
+def _with_rest(positions: Array, depth: Array) -> tuple[Array, Array]:
+    """As `_followed`: markers rest where they are in the middle of the shallowest contacts."""
     return np.median(positions[depth <= np.quantile(depth, _AT_REST)], axis=0), positions
 
 
@@ -181,7 +187,7 @@ def _fitted(moved: Array, basis: Array) -> NDArray[np.float32]:
     return values
 
 
-def _part(progress: Progress | None, done: NDArray[np.int64], number: int) -> Progress | None:
+def _part(progress: Progress | None, done: Rows, number: int) -> Progress | None:
     """Progress over all sensors, for the tracking of one."""
     if progress is None:
         return None

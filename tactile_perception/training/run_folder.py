@@ -30,7 +30,7 @@ CURVES_NAME = "curves.png"
 BEST_NAME = "best.pt"
 STATE_NAME = "state.pt"
 #: Settings that may change when a run is resumed; what a start is, the facts about the data tell.
-_NO_RESULT = {"threads", "max_minutes", "start"}
+_NO_RESULT = {"threads", "max_minutes", "start", "precision"}
 
 
 @dataclass(frozen=True)

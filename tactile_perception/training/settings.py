@@ -181,7 +181,10 @@ class TrainingSettings(Settings):
     seed: int = setting(
         0, lower=0, upper=LARGEST_SEED, doc="seed of weights, shuffling, dropout and augmentation"
     )
-    precision: str = setting("bf16", choices=("fp32", "bf16"), doc="arithmetic of the convolutional base")
+    precision: str = setting(
+        "auto", choices=("auto", "fp32", "bf16"),
+        doc="arithmetic of the convolutional base; auto: bf16 where the processor has it; others imitate it",
+    )  # fmt: skip
     channels_last: bool = setting(True, doc="memory layout that CPU kernels prefer")
     threads: int = setting(0, lower=0, upper=1024, doc="CPU threads; 0: PyTorch's choice")
     max_minutes: float = setting(

@@ -12,7 +12,7 @@ from tactile_perception.datasets.dataset import DatasetError, open_folder, read_
 from tactile_perception.datasets.importing import import_folder
 from tactile_perception.datasets.sharding import ShardSettings, write_shards
 from tactile_perception.datasets.shards import ShardedFolder
-from tactile_perception.datasets.writer import DatasetWriter
+from tactile_perception.datasets.writer import DatasetWriter, write_markers
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 
 COUNT = 23
@@ -98,6 +98,22 @@ def test_folders_are_merged_and_other_sets_added_each_with_its_own_sensors(folde
     assert len(more) == len(set(more.names)) == 3 * COUNT
     assert len(set(more.sensor)) == 4 + 3
     assert len(read_dataset(tmp_path / "shards").images) == 3 * COUNT
+
+
+def test_markers_go_along_where_they_are_known(folder, tmp_path):
+    source = written(tmp_path / "data", 2)
+    rng = np.random.default_rng(0)
+    for number in range(1, COUNT + 1):
+        write_markers(source, number, rng.uniform(0, 60, (5, 2)))
+    write_shards([source], tmp_path / "shards", SMALL)
+    ours, theirs = open_folder(tmp_path / "shards"), open_folder(source)
+    for index, name in enumerate(ours.names):
+        np.testing.assert_array_equal(ours.markers(index), theirs.markers(theirs.names.index(name)))
+    write_shards([folder], tmp_path / "shards", ShardSettings("without", 4, 10))
+    assert open_folder(tmp_path / "shards").markers(0) is None and open_folder(folder).markers(0) is None
+    (source / "markers" / "image_1.npy").write_bytes(b"no array")
+    with pytest.raises(DatasetError, match=r"image_1\.npy: cannot be read"):
+        theirs.markers(theirs.names.index("image_1.png"))
 
 
 def test_what_does_not_go_together_is_refused(folder, shards, tmp_path):

@@ -29,7 +29,7 @@ from tactile_perception.training.settings import (  # noqa: E402
     TrainingSettings,
     learning_rate,
 )
-from tactile_perception.training.train import TrainConfig, train  # noqa: E402
+from tactile_perception.training.train import TrainConfig, in_low_precision, train  # noqa: E402
 
 QUICK = TrainConfig(
     NetworkSettings(image_size=64, channels=(8, 16, 32, 32), batch_norm_momentum=0.2, head_gain=1.0),
@@ -553,6 +553,27 @@ def test_averaged_weights_are_what_is_validated_and_exported(training_data, tmp_
     moved = train(training_data, tmp_path / "moved", short(), limit=32)
     assert still.epochs[0].train_loss == moved.epochs[0].train_loss
     assert still.best.validation_loss != moved.best.validation_loss
+
+
+@pytest.mark.parametrize(
+    ("cpuinfo", "expected"),
+    [
+        ("flags\t\t: fpu avx2 avx512f amx_bf16 amx_tile\n", True),
+        ("flags\t\t: fpu sse4_2 avx2\n", False),
+        ("Features\t: fp asimd i8mm bf16\n", True),
+        (None, False),
+    ],
+)
+def test_low_precision_is_for_processors_that_have_it(cpuinfo, expected, monkeypatch):
+    def read(path):
+        assert str(path) == "/proc/cpuinfo"
+        if cpuinfo is None:
+            raise FileNotFoundError(path)
+        return cpuinfo
+
+    monkeypatch.setattr(Path, "read_text", read)
+    assert in_low_precision("auto", torch.device("cpu")) == expected
+    assert in_low_precision("bf16", torch.device("cpu")) and not in_low_precision("fp32", torch.device("cpu"))
 
 
 def test_last_epochs_can_be_plain(training_data, tmp_path, monkeypatch):
