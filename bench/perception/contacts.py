@@ -216,6 +216,12 @@ def main() -> None:
     add("--pixels", type=int, default=128, help="side at which images are kept: twice that of a network")
     add("--seeds", type=int, default=1)
     add("--jobs", type=int, default=1)
+    add(
+        "--scheduler",
+        default="",
+        metavar="ADDRESS",
+        help="of Dask, in place of --jobs",
+    )
     given = arguments.parse_args()
     needs("scripts/setup.sh train", "torch", "onnx")
     given.out.mkdir(parents=True, exist_ok=True)
@@ -229,7 +235,7 @@ def main() -> None:
         for start in given.start
     ]
     rows = JobRows(given.out / "rows.jsonl")
-    for done in run_jobs(trained, rows.missing(jobs), Workers(given.jobs), print):
+    for done in run_jobs(trained, rows.missing(jobs), Workers(given.jobs, given.scheduler), print):
         print(done.job.name, done.error or "", flush=True)
         if done.value is not None:
             rows.add(done.value)
