@@ -141,8 +141,8 @@ class TrainingSettings(Settings):
     )
     choose: str = setting(
         "loss", choices=("loss", "error"),
-        doc="what of the validation data tells the best epoch: loss, or error: mean absolute errors in parts of "
-        "the labels' deviations. With few contacts sigma gets too small long before errors grow again, and the "
+        doc="what of the validation data tells the best epoch: loss, or error: mean absolute errors in parts "
+        "of the labels' deviations. With few contacts sigma gets too small long before errors grow; the "
         "calibration sets it right",
     )  # fmt: skip
     field_weight: float = setting(
