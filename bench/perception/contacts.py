@@ -3,11 +3,11 @@
     python bench/perception/contacts.py DATA [--start sim=RUN sim=RUN:base] [--sizes 25 100] [--jobs 2]
 
 A fifth of DATA (of the part for training where it has parts) is held out to measure on. Of the rest the
-first N of a random order are taken, and a fifth of these chooses the epoch and calibrates. A start is the
-folder of a finished run of `tactile train`, and of its network `base` or `convolutions` stay as they are
-where that is added (training.frozen); without --start networks start from random weights. --vary names
-settings of one more network. Rows that are done stay in OUT/rows.jsonl. Needs PyTorch (`scripts/setup.sh
-train`).
+first N of a random order are taken, of which a fifth calibrates, and chooses the epoch where the loss does. A
+start is the folder of a finished run of `tactile train`, and of its network `base` or `convolutions` stay as
+they are where that is added (training.frozen); without --start networks start from random weights. --vary
+names settings of one more network. Rows that are done stay in OUT/rows.jsonl. Needs PyTorch
+(`scripts/setup.sh train`).
 """
 
 from __future__ import annotations

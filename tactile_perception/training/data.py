@@ -19,13 +19,12 @@ from tactile_base.settings import SettingError
 from tactile_perception.datasets.dataset import (
     DatasetError,
     TactileDataset,
-    open_folder,
     read_dataset,
     read_rows,
     training_part,
 )
 from tactile_perception.datasets.layout import parts_of
-from tactile_perception.datasets.shards import ShardedFolder
+from tactile_perception.datasets.shards import ShardedFolder, is_sharded, open_shards
 from tactile_perception.estimating.contact_model import CONTACT_MODELS, SURFACE, ContactModel
 from tactile_perception.estimating.image import Image
 from tactile_perception.estimating.model_metadata import split_holdback
@@ -143,13 +142,9 @@ def load_data(
     else:
         whole = split_holdback(len(streamed), config.training.holdback)
         training, split = _read_some(streamed, whole, progress)
-    validation = None
-    if validation_dir is not None:
-        beyond = _beyond_memory(validation_dir, changes, config)
-        if beyond is None:
-            validation = read_dataset(validation_dir, changes=changes, progress=progress, complete=False)
-        else:
-            validation = _read_some(beyond, (np.arange(len(beyond)), np.arange(0)), progress)[0]
+    validation = (
+        _validation(validation_dir, changes, config, progress) if validation_dir is not None else None
+    )
     preprocessing = training.preprocessing.replaced(**changes)
     if validation is not None and preprocessing != validation.preprocessing:
         raise DatasetError(
@@ -160,13 +155,27 @@ def load_data(
     return data if streamed is None else _streaming(data, streamed, whole, split)
 
 
-def _beyond_memory(folder: Path | str, changes: dict[str, Any], config: TrainConfig) -> ShardedFolder | None:
+def _validation(
+    folder: Path | str,
+    changes: dict[str, Any],
+    config: TrainConfig,
+    progress: Callable[[int, int], None] | None,
+) -> TactileDataset:
+    """All samples of a folder, or some of those that no memory holds."""
+    beyond = _beyond_memory(Path(folder), changes, config)
+    if beyond is None:
+        return read_dataset(folder, changes=changes, progress=progress, complete=False)
+    return _read_some(beyond, (np.arange(len(beyond)), np.arange(0)), progress)[0]
+
+
+def _beyond_memory(folder: Path, changes: dict[str, Any], config: TrainConfig) -> ShardedFolder | None:
     """The shards of a folder whose images need more memory than they may."""
-    source = open_folder(folder)
+    if not is_sharded(folder):
+        return None
+    source = open_shards(folder)
     source.preprocessing = settings = source.preprocessing.replaced(**changes)
     needed = len(source) * settings.size**2 * settings.channels / 2**30
-    too_large = isinstance(source, ShardedFolder) and needed > config.training.images_in_memory
-    return source if isinstance(source, ShardedFolder) and too_large else None
+    return source if needed > config.training.images_in_memory else None
 
 
 def _read_some(
@@ -227,7 +236,8 @@ def arrange(
         report += validation.report.lines()
         validated = Samples(validation.images, validation.labels_for(model))
     else:
-        report.append(f"  note: the {len(held_out)} samples held out choose the epoch as well")
+        if config.training.choose == "loss":
+            report.append(f"  note: the {len(held_out)} samples held out choose the epoch as well")
     if model != SURFACE:
         facts[_MODEL] = model.plain()
     if model.unknown:

@@ -140,10 +140,9 @@ class TrainingSettings(Settings):
         25, lower=1, upper=10000, doc="epochs without a better validation loss before stopping early"
     )
     choose: str = setting(
-        "loss", choices=("loss", "error"),
-        doc="what of the validation data tells the best epoch: loss, or error: mean absolute errors in parts "
-        "of the labels' deviations. With few contacts sigma gets too small long before errors grow; the "
-        "calibration sets it right",
+        "loss", choices=("loss", "last"),
+        doc="which epoch's network is taken: that of the least validation loss, or the last one. With few "
+        "contacts sigma gets too small long before errors grow: the loss shows it, and calibration mends it",
     )  # fmt: skip
     field_weight: float = setting(
         20.0, lower=0.0, upper=1e6, doc="weight of the markers' field in the loss, where the network finds it"

@@ -38,7 +38,6 @@ from tactile_perception.training.symmetry import SymmetryAxis
 
 __all__ = ["Epoch", "TrainConfig", "TrainResult", "TrainingProgress", "train"]
 _EVALUATION_BATCH = 100
-_CONSTANT = 1e-9  # deviation of labels that are all the same
 _BF16 = {"amx_bf16", "avx512_bf16", "bf16"}  # of x86, and of ARM
 
 
@@ -167,8 +166,6 @@ class _Run:
         self.feed = data.feed
         labels = torch.from_numpy(self.feed.labels.astype(np.float32))
         self.network.start_from(labels)
-        deviation = np.ma.masked_invalid(self.feed.labels).std(axis=0)
-        self._deviation = np.ma.masked_less(deviation, _CONSTANT)
         if data.start is not None:
             data.start.give(self.network)
         fields = self._place_fields()
@@ -200,9 +197,8 @@ class _Run:
         with self.average.in_place():
             validation_loss, mae = self.evaluate(self.data.validation, self.low_precision)
             weights = {name: value.cpu().clone() for name, value in self.network.state_dict().items()}
-        measure = self._measure(validation_loss, mae)
-        better = np.isfinite(measure) and (
-            best is None or measure < self._measure(best.validation_loss, best.mae)
+        better = np.isfinite(validation_loss) and (
+            self.config.training.choose == "last" or best is None or validation_loss < best.validation_loss
         )
         rate = learning_rate(number + 1.0, self.config.training)
         ended = time.monotonic()
@@ -210,11 +206,6 @@ class _Run:
         left = remaining.seconds(number + 1) or 0.0
         epoch = Epoch(number, rate, train_loss, validation_loss, mae, ended - started, bool(better), left)
         return self.processes.told(epoch), weights
-
-    def _measure(self, validation_loss: float, mae: NDArray[np.float64]) -> float:
-        """What tells the best epoch: the least of it."""
-        by_error = self.config.training.choose == "error" and np.isfinite(validation_loss)
-        return float(np.ma.mean(np.ma.masked_invalid(mae) / self._deviation)) if by_error else validation_loss
 
     def _train_epoch(self, number: int, progress: TrainingProgress, remaining: TimeLeft) -> float:
         settings = self.config.training
