@@ -216,12 +216,7 @@ def main() -> None:
     add("--pixels", type=int, default=128, help="side at which images are kept: twice that of a network")
     add("--seeds", type=int, default=1)
     add("--jobs", type=int, default=1)
-    add(
-        "--scheduler",
-        default="",
-        metavar="ADDRESS",
-        help="of Dask, in place of --jobs",
-    )
+    add("--scheduler", default="", metavar="ADDRESS", help="of Dask, in place of --jobs")
     given = arguments.parse_args()
     needs("scripts/setup.sh train", "torch", "onnx")
     given.out.mkdir(parents=True, exist_ok=True)

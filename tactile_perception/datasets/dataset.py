@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -26,9 +25,9 @@ from tactile_base.settings import SettingError
 from tactile_perception.datasets import layout, lenient_json
 from tactile_perception.datasets.folder import TactileFolder
 from tactile_perception.datasets.image_settings import image_settings
-from tactile_perception.datasets.layout import DatasetError, DatasetReport
+from tactile_perception.datasets.layout import DatasetError, DatasetReport, is_sharded
 from tactile_perception.datasets.mapping import TableMapping, UnknownTable
-from tactile_perception.datasets.shards import ShardedFolder, is_sharded, open_shards
+from tactile_perception.datasets.shards import ShardedFolder, open_shards
 from tactile_perception.datasets.table import Row, read_conventions, read_header, read_table
 from tactile_perception.datasets.writer import DatasetWriter
 from tactile_perception.estimating.contact_model import SURFACE, ContactModel
@@ -241,14 +240,12 @@ def read_rows(
 
 def _loaded(source: TactileFolder, chosen: list[int]) -> Iterator[tuple[int, Image | ImageError, str]]:
     """(index, pre-processed image or what is wrong with it, SHA-256 of its file), on all cores, in order."""
-    own = threading.local()
+    own_preprocessor = source.preprocessor_of_thread()
 
     def load(index: int) -> tuple[int, Image | ImageError, str]:
-        if not hasattr(own, "preprocessor"):
-            own.preprocessor = source.preprocessor()
         try:
             data = source.stored(index)
-            image = source.resized(index, own.preprocessor, data)
+            image = source.resized(index, own_preprocessor(), data)
         except ImageError as error:
             return index, error, ""
         return index, image, hashlib.sha256(data).hexdigest()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -119,6 +121,17 @@ class TactileFolder:
                 )
             result.reference = reference if self.processed else result.processed(reference)
         return result
+
+    def preprocessor_of_thread(self) -> Callable[[], Preprocessor]:
+        """What gives each thread that calls it a preprocessor of its own, as these have buffers."""
+        own = threading.local()
+
+        def give() -> Preprocessor:
+            if not hasattr(own, "preprocessor"):
+                own.preprocessor = self.preprocessor()
+            return own.preprocessor
+
+        return give
 
     def check_labelled(self) -> None:
         """`DatasetError` unless all six components are labelled."""

@@ -27,6 +27,7 @@ IMAGE_PARAMS_NAMES = (
 CAMERA_PARAMS_NAMES = ("sensor_image_params.json", "sensor_params.json")
 #: Where the markers are in each camera image, (n, 2) column and row in a .npy, where a simulator knows it.
 MARKERS_NAME = "markers"
+SHARD_SUFFIX = ".parquet"
 #: The image without contact, which has no row.
 REFERENCE_NAME = "image_0.png"
 AXES = ("x", "y", "z", "Rx", "Ry", "Rz")
@@ -77,8 +78,13 @@ def parts_of(folder: Path) -> dict[str, Path]:
 
 def data_folders(folder: Path) -> dict[str, Path]:
     """A folder's parts by name; itself, by the name "", where it has a table or no parts."""
-    table = any(next(folder.glob(name), None) for name in (*TARGETS_NAMES, JOURNAL_NAME, "*.parquet"))
-    return {"": folder} if table else parts_of(folder) or {"": folder}
+    table = any((folder / name).is_file() for name in (*TARGETS_NAMES, JOURNAL_NAME))
+    return {"": folder} if table or is_sharded(folder) else parts_of(folder) or {"": folder}
+
+
+def is_sharded(folder: Path) -> bool:
+    """Whether a folder holds shards."""
+    return folder.is_dir() and any(folder.glob(f"*{SHARD_SUFFIX}"))
 
 
 def image_name(number: int) -> str:

@@ -17,7 +17,7 @@ from tactile_base.whole_file import check_folder, whole_file
 from tactile_perception.datasets import shards
 from tactile_perception.datasets.dataset import open_folder
 from tactile_perception.datasets.folder import TactileFolder
-from tactile_perception.datasets.layout import FORCE_COLUMNS, DatasetError
+from tactile_perception.datasets.layout import FORCE_COLUMNS, SHARD_SUFFIX, DatasetError
 from tactile_perception.datasets.writer import as_png
 from tactile_perception.estimating.image import ImageError, packed
 from tactile_perception.estimating.labels import EULER_COMPONENTS
@@ -64,13 +64,15 @@ def write_shards(
     out.mkdir(parents=True, exist_ok=True)
     done = 0
     for number, part in enumerate(parts):
-        path = out / f"{settings.name}-{number:05d}-of-{len(parts):05d}{shards.SUFFIX}"
+        path = out / f"{settings.name}-{number:05d}-of-{len(parts):05d}{SHARD_SUFFIX}"
         if not _is_there(path, said["plan"]):
-            rows = _rows(folders, part, sensors)
-            for _ in _written(path, rows, said, settings.group_rows):
+            rows = []
+            for row in _rows(folders, part, sensors):
+                rows.append(row)
                 done += 1
                 if progress is not None:
                     progress(done, len(pairs))
+            _write(path, [row for row in rows if row is not None], said, settings.group_rows)
         else:
             done += len(part)
     return [line for folder in folders for line in folder.report.lines()]
@@ -138,18 +140,18 @@ def _rows(
     folders: list[TactileFolder], part: NDArray[np.int64], sensors: list[NDArray[np.int64]]
 ) -> Iterator[dict[str, Any] | None]:
     """Rows of a shard, in order; None for an image that cannot be used, and the folder's report names it."""
-    preprocessors = [None if folder.processed else folder.preprocessor() for folder in folders]
+    preprocessors = [folder.preprocessor_of_thread() for folder in folders]
 
     def load(pair: NDArray[np.int64]) -> bytes | ImageError:
-        folder, preprocessor, row = folders[pair[0]], preprocessors[pair[0]], int(pair[1])
+        folder, row = folders[pair[0]], int(pair[1])
         try:
             data = folder.stored(row)
             image = folder.image(row, data)  # whether it is one
-            return data if preprocessor is None else as_png(preprocessor.processed(image))
+            return data if folder.processed else as_png(preprocessors[pair[0]]().processed(image))
         except ImageError as error:
             return error
 
-    with ThreadPoolExecutor(1 if any(preprocessors) else None) as pool:  # a preprocessor has buffers
+    with ThreadPoolExecutor() as pool:
         for start in range(0, len(part), _AT_ONCE):
             pairs = part[start : start + _AT_ONCE]
             for (k, row), data in zip(pairs.tolist(), pool.map(load, pairs), strict=True):
@@ -171,10 +173,8 @@ def _rows(
                 }
 
 
-def _written(
-    path: Path, rows: Iterator[dict[str, Any] | None], said: dict[str, Any], group_rows: int
-) -> Iterator[None]:
-    """Write a shard, group by group; yields for every row."""
+def _write(path: Path, rows: list[dict[str, Any]], said: dict[str, Any], group_rows: int) -> None:
+    """Write a shard, group by group."""
     import pyarrow
 
     def vector(length: int) -> pyarrow.DataType:
@@ -189,18 +189,15 @@ def _written(
         shards.SENSOR: pyarrow.int64(),
         shards.MARKERS: pyarrow.list_(pyarrow.float32()),
     }
-    digest, kept = hashlib.sha256(), []
+    digest = hashlib.sha256()
     for row in rows:
-        if row is not None:
-            digest.update(_row_hash(row))
-            kept.append(row)
-        yield
+        digest.update(_row_hash(row))
     said = {**said, "sha256": digest.hexdigest()}
     schema = pyarrow.schema(fields, {shards.METADATA_KEY: json.dumps(said)})
     how = {"compression": "none", "write_page_checksum": True}  # images are compressed
     with whole_file(path) as temporary, shards.parquet().ParquetWriter(temporary, schema, **how) as file:
-        for start in range(0, len(kept), group_rows):
-            group = kept[start : start + group_rows]
+        for start in range(0, len(rows), group_rows):
+            group = rows[start : start + group_rows]
             file.write_table(pyarrow.Table.from_pylist(group, schema), row_group_size=len(group))
 
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from tactile_perception.datasets.folder import Array, TactileFolder
 from tactile_perception.datasets.image_settings import image_settings
-from tactile_perception.datasets.layout import DatasetError, DatasetReport
+from tactile_perception.datasets.layout import SHARD_SUFFIX, DatasetError, DatasetReport
 from tactile_perception.estimating.image import Image, ImageKind, unpacked
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from pyarrow import ChunkedArray, Table
     from pyarrow.parquet import ParquetFile
 
-SUFFIX = ".parquet"
 METADATA_KEY = b"tactile_servoing"
 IMAGE, NAME, POSE, SHEAR, FORCE, SENSOR = "image", "name", "pose", "shear", "force", "sensor"
 MARKERS = "markers"  # only where a simulator knows them
@@ -40,11 +39,6 @@ MARKERS = "markers"  # only where a simulator knows them
 COMMON = ("preprocessing", "kind", "labelled", "forces", "reference")
 _AT_HAND = 4  # groups of images that were read last
 _MOST_SENSORS = 1_000_000  # of one data set
-
-
-def is_sharded(folder: Path) -> bool:
-    """Whether a folder holds shards."""
-    return folder.is_dir() and any(folder.glob(f"*{SUFFIX}"))
 
 
 def parquet() -> Any:
@@ -126,7 +120,7 @@ def open_shards(folder: Path, preprocessing: PreprocessingSettings | None = None
     Raises `DatasetError` for a file that is damaged or no shard of ours, for files that are missing, and for
     some that do not belong together.
     """
-    paths = sorted(folder.glob(f"*{SUFFIX}"))
+    paths = sorted(folder.glob(f"*{SHARD_SUFFIX}"))
     said, tables, groups = _contents(paths)
     _check_together(paths, said)
     if not groups:

@@ -23,8 +23,8 @@ from tactile_perception.datasets.dataset import (
     read_rows,
     training_part,
 )
-from tactile_perception.datasets.layout import parts_of
-from tactile_perception.datasets.shards import ShardedFolder, is_sharded, open_shards
+from tactile_perception.datasets.layout import is_sharded, parts_of
+from tactile_perception.datasets.shards import ShardedFolder, open_shards
 from tactile_perception.estimating.contact_model import CONTACT_MODELS, SURFACE, ContactModel
 from tactile_perception.estimating.image import Image
 from tactile_perception.estimating.model_metadata import split_holdback
@@ -138,7 +138,7 @@ def load_data(
     streamed = _beyond_memory(train_dir, large, config) if limit is None else None
     if streamed is None:
         training = read_dataset(train_dir, changes=large, limit=limit, progress=progress, complete=False)
-        split = split_holdback(len(training), config.training.holdback)
+        split = None
     else:
         whole = split_holdback(len(streamed), config.training.holdback)
         training, split = _read_some(streamed, whole, progress)
@@ -152,7 +152,7 @@ def load_data(
             f"{preprocessing.differences(validation.preprocessing)}"
         )
     data = arrange(training, validation, config, preprocessing, following, split).started(start)
-    return data if streamed is None else _streaming(data, streamed, whole, split)
+    return data if streamed is None else _streaming(data, streamed, whole)
 
 
 def _validation(
@@ -191,15 +191,14 @@ def _read_some(
     return data, (np.searchsorted(rows, parts[0]), np.searchsorted(rows, parts[1]))
 
 
-def _streaming(data: RunData, source: ShardedFolder, whole: Split, split: Split) -> RunData:
+def _streaming(data: RunData, source: ShardedFolder, whole: Split) -> RunData:
     """A run on the shards, of which `data` has some samples in memory."""
     kept, held_out = whole
     labelled = (*source.labelled, *source.forces)
     labels = data.model.labels(source.euler_mm_deg[kept], source.force[kept], labelled)
     fields = data.fields
     if fields is not None:
-        rows = np.union1d(*(spread_rows(source, part) for part in whole))
-        fields = fields.among(len(kept), np.searchsorted(kept, rows[split[0]]))
+        fields = fields.among(len(kept), np.searchsorted(kept, spread_rows(source, kept)))
     counts = {"samples": len(kept), "held_out": len(held_out)}
     facts = {**data.facts, **counts, "sha256": source.sha256, "streamed": True}
     return dataclasses.replace(data, streamed=ShardFeed(source, kept, labels), fields=fields, facts=facts)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -72,7 +71,7 @@ class ShardFeed:
         self.labels, self._source, self._rows = labels, source, rows
         ends = np.searchsorted(rows, [group.stop for group in source.groups])
         self._slices = list(zip([0, *ends[:-1]], ends, strict=True))
-        self._own = threading.local()
+        self._preprocessor = source.preprocessor_of_thread()
 
     def steps(self, batch_size: int, processes: Processes) -> int:
         """What the process with the fewest and smallest groups has, so that none waits for another."""
@@ -83,7 +82,7 @@ class ShardFeed:
                 f"{processes.count} processes: `tactile data shard --group` makes smaller ones"
             )
         fewest = sum(sorted(int(stop - start) for start, stop in self._slices)[:count])
-        return max(1, fewest // (batch_size // processes.count))
+        return max(1, fewest // processes.share(batch_size, len(self.labels)))
 
     def batches(
         self, batch_size: int, rng: np.random.Generator, processes: Processes
@@ -92,9 +91,8 @@ class ShardFeed:
         mixing = np.random.default_rng([int(rng.integers(2**62)), processes.rank])
         with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(os.cpu_count()) as pool:
             stored = _ahead(reader, self._stored, groups.tolist(), _MIXED)
-            batches = islice(
-                _mixed(stored, batch_size // processes.count, mixing), self.steps(batch_size, processes)
-            )
+            share = processes.share(batch_size, len(self.labels))
+            batches = islice(_mixed(stored, share, mixing), self.steps(batch_size, processes))
             yield from _ahead(pool, self._images, batches, _AHEAD)
 
     def _stored(self, group: int) -> list[tuple[int, bytes]]:
@@ -104,9 +102,7 @@ class ShardFeed:
         return [(sample, images[int(self._rows[sample]) - first].as_py()) for sample in samples]
 
     def _images(self, batch: list[tuple[int, bytes]]) -> tuple[Rows, Image]:
-        if not hasattr(self._own, "preprocessor"):
-            self._own.preprocessor = self._source.preprocessor()
-        source, preprocessor = self._source, self._own.preprocessor
+        source, preprocessor = self._source, self._preprocessor()
         images = [source.resized(int(self._rows[sample]), preprocessor, data) for sample, data in batch]
         return np.array([sample for sample, _ in batch]), np.stack(images)
 

@@ -168,8 +168,8 @@ def _followed(source: TactileFolder, rows: Rows, progress: Progress | None) -> t
 
 def _told(source: TactileFolder, rows: Rows) -> Array | None:
     """Markers (n, m, 2) as a simulator knows them; None where it does not tell."""
-    found = [source.markers(row) for row in rows.tolist()] if source.markers(int(rows[0])) is not None else []
-    return np.array(found) if found else None
+    found = [source.markers(row) for row in rows.tolist()]
+    return None if found[0] is None else np.array(found)
 
 
 def _with_rest(positions: Array, depth: Array) -> tuple[Array, Array]:

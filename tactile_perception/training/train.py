@@ -152,7 +152,8 @@ class _Run:
 
     def __init__(self, data: RunData, config: TrainConfig, processes: Processes) -> None:
         settings = config.training
-        processes.share(settings.batch_size, len(data.feed.labels))
+        self.feed = data.feed
+        processes.share(settings.batch_size, len(self.feed.labels))  # is one, or refused
         torch.manual_seed(settings.seed)
         if settings.threads:
             torch.set_num_threads(settings.threads)
@@ -163,7 +164,6 @@ class _Run:
         self.layout = torch.channels_last if settings.channels_last else torch.contiguous_format
         self.network = PoseNetwork(config.network, data.model, data.preprocessing.channels)
         self.loss_name = self.network.distribution.name
-        self.feed = data.feed
         labels = torch.from_numpy(self.feed.labels.astype(np.float32))
         self.network.start_from(labels)
         if data.start is not None:
