@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Run pytest on what make installed: test.sh [ARGUMENT OF PYTEST...]. Without arguments the whole suite in a process per
-# core: what runs against the clock, and in as many, giving way to it, all the rest. With RETEST=1 up to sixteen tests of each
-# that fail beside others run once more, alone: a machine that somebody else holds up for a second is no defect.
+# Run pytest on what make installed: test.sh [ARGUMENT OF PYTEST...]. Without arguments the whole suite: what runs against the
+# clock in a process per two cores, since a graph of nodes keeps two busy; and in one per core, giving way to it, all the rest.
+# With RETEST=1 up to sixteen tests of each that fail beside others run once more, alone: a machine that somebody else holds
+# up for a second is no defect.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/env.sh
@@ -14,12 +15,13 @@ export OMP_NUM_THREADS=1
 mkdir -p log
 . scripts/run_idle.sh
 rest=0 live=0
-suite=(pytest -q --durations=15 --numprocesses auto --maxprocesses 4 --dist loadfile)
+suite=(pytest -q --durations=15 --maxprocesses 4 --dist loadfile)
+graphs=$((($(nproc) + 1) / 2))
 # What gives way has more time for each test than pyproject.toml says.
-run_idle "${suite[@]}" -m "not live" -o cache_dir=log/rest -o timeout=1200 -o faulthandler_timeout=1260 >log/test.txt 2>&1 &
+run_idle "${suite[@]}" --numprocesses auto -m "not live" -o cache_dir=log/rest -o timeout=1200 -o faulthandler_timeout=1260 >log/test.txt 2>&1 &
 computing=$!
 trap 'kill -- -$computing 2>/dev/null || true' EXIT
-"${suite[@]}" -m live --no-loadscope-reorder -o cache_dir=log/live || live=$?
+"${suite[@]}" --numprocesses $graphs -m live --no-loadscope-reorder -o cache_dir=log/live || live=$?
 finish $computing || rest=$?
 cat log/test.txt
 

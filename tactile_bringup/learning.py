@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.input_file import parse_json, read_text
+from tactile_base.priority import give_way
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.whole_file import whole_file
 from tactile_base.yaml_file import name_and_value
@@ -159,12 +160,12 @@ class Training:
         self._process = None if trained else self._begun([*command, *words])
 
     def _begun(self, command: list[str]) -> subprocess.Popen[bytes]:
-        nice = shutil.which("nice")
-        first = [nice, "-n", "10"] if nice else []
         with self.log.open("ab") as log:  # in a session of its own: Ctrl-C is the arm's, and `stop` tells it
-            return subprocess.Popen(
-                [*first, *command], stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
             )
+        give_way(process.pid)
+        return process
 
     @property
     def ended(self) -> bool:

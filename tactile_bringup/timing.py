@@ -110,7 +110,7 @@ def check_exposure_to_twist(options: Sequence[str] = ()) -> Finding:
     """Of real nodes that follow a simulated ramp, simulation and rendering on this machine included."""
     values = measured(["surface_following", *options])
     latency = values.get("latency_ms")
-    if not latency:
+    if not latency or latency["p99"] is None:  # no twist was sent
         return Finding(FAILED, "exposure to twist", f"no run: {values['end']}")
     text = f"p50 {latency['p50']:.1f}, p99 {latency['p99']:.1f}, at most {latency['max']:.1f} ms, simulated"
     verdict = OK if latency["p99"] < GOOD else LOOK if latency["p99"] < BAD else FAILED

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincinv
 
 from tactile_base.config_paths import config_path, named_file
 from tactile_base.settings import SettingError, Settings, setting
@@ -156,4 +155,9 @@ class Tuning(NamedTuple):
 
 def gate_threshold(probability: float, dof: int = 6) -> float:
     """Quantile of chi-square; infinite at probability 1."""
-    return math.inf if probability >= 1.0 else 2.0 * float(gammaincinv(0.5 * dof, probability))
+    if probability >= 1.0:
+        return math.inf
+    # Here, since it takes a third of the start of every node that reads a filter's settings but has no gate.
+    from scipy.special import gammaincinv
+
+    return 2.0 * float(gammaincinv(0.5 * dof, probability))

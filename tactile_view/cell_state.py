@@ -11,6 +11,7 @@ and passed over: whoever shows something must not end by it.
 
 from __future__ import annotations
 
+import functools
 import struct
 from collections import Counter, deque
 from collections.abc import Callable
@@ -50,6 +51,7 @@ _NAMES = {topic: name for name, (topic, _) in STREAMS.items()}
 _IMAGES = (topics.IMAGE.name, topics.compressed(topics.IMAGE).name)
 
 
+@functools.lru_cache(maxsize=64)  # asked for by each message, and read from files
 def installed_types(type_name: str) -> Any:
     """A type as it is installed."""
     return typestore(type_name, message_definition(type_name))

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import os
 import signal
 from pathlib import Path
 from typing import Any
 
+from tactile_base.priority import give_way
 from tactile_bringup.commands.changes import add_command
 
 HOST, PORT, FOXGLOVE_PORT = "127.0.0.1", 8098, 8765
-NICENESS = 10  # whoever looks must not hold up what is looked at
 OPEN_TO_OTHERS = "whoever has this address with its token can {do}; nothing is encrypted: see SECURITY.md"
 
 
@@ -56,7 +55,7 @@ def run_foxglove(arguments: argparse.Namespace) -> int:
     from tactile_view.live_foxglove import FoxgloveBridge
 
     signals = list[int]()
-    os.nice(NICENESS)
+    give_way()  # whoever looks must not hold up what is looked at
     try:
         bridge = FoxgloveBridge(chosen_domain(), arguments.host, arguments.port)
     except RuntimeError as error:  # as of a port that is taken
@@ -89,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     end_with_launcher()
     console, signals = lasting_console(), list[int]()
-    os.nice(NICENESS)
+    give_way()  # whoever looks must not hold up what is looked at
     page = _page(arguments)
     signals_into(signals)
     say(console, f"open {page.address} in a browser; Ctrl-C ends the page, not the arms")

@@ -14,9 +14,10 @@ from tactile_base.whole_file import check_file, room_for_files
 from tactile_bringup.commands.changes import add_command, add_group, natural_int, positive_int
 from tactile_bringup.fitting.network_error import Ways, compared, drawn, fit
 from tactile_bringup.fitting.sensor import PARAMETERS, Fit, by_depth, improve, loss, write
+from tactile_perception.datasets.dataset import open_folder
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.labels import COMPONENTS
-from tactile_perception.markers.labelled import track
+from tactile_perception.markers.labelled import Tracked, track
 from tactile_sim.collection import SensorFile, load_sensor
 
 
@@ -57,7 +58,7 @@ def run_fit_sensor(arguments: argparse.Namespace) -> int:
     check_file(arguments.out)
     room_for_files(arguments.out)
     sensor = load_sensor(arguments.start) if arguments.start else SensorFile()
-    tracked = track(arguments.data, arguments.tracked)
+    tracked = _tracked(arguments.data, arguments.tracked)
     chosen = tracked.some(arguments.contacts, arguments.seed)
     if not len(chosen):
         count = len(tracked.labels)
@@ -83,9 +84,16 @@ def run_fit_sensor(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _tracked(folder: Path, count: int) -> Tracked:
+    """Markers of up to so many of a folder's images, chosen at random."""
+    data = open_folder(folder)
+    rows = np.random.default_rng(0).choice(len(data), min(count, len(data)), replace=False)
+    return track(data, np.sort(rows))
+
+
 def _check(arguments: argparse.Namespace, sensor: Any) -> None:
     """Errors of the markers on contacts that were not fitted to, by depth."""
-    others = track(arguments.check, arguments.tracked)
+    others = _tracked(arguments.check, arguments.tracked)
     fit = Fit(others, others.some(arguments.contacts, arguments.seed, least_found=0.0), sensor)
     table = number_table(f"markers on {arguments.check}, px", ["depth", "contacts", "median", "RMS"])
     for name, count, median, rms in by_depth(fit, sensor):

@@ -11,17 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.datasets.folder import TactileFolder
 from tactile_perception.markers.detection import detect
 
 Array = NDArray[Any]
+Progress = Callable[[int, int], None]  # images done, of how many
 
 RINGS = 10
 DEPTH_STEPS = (0.7, 0.8, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.1, 6.1)  # mm
@@ -62,13 +62,8 @@ class Tracked:
         return np.random.default_rng(seed).choice(good, min(count, len(good)), replace=False)
 
 
-def track(
-    folder: Path,
-    samples: int | None = None,
-    names: list[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Tracked:
-    """Track the markers of a folder's images: of up to `samples`, chosen at random, or of those named.
+def track(data: TactileFolder, rows: Array, progress: Progress | None = None) -> Tracked:
+    """Track the markers of these images (n,) of a data folder, all of one sensor.
 
     Raises
     ------
@@ -76,23 +71,16 @@ def track(
         There is no contact less than `DEEPEST_REST` deep, in which the markers are about where they rest,
         or it does not show the rings of 331.
     """
-    data = open_folder(folder)
     data.check_labelled()
-    index = np.arange(len(data))
-    if names is not None:
-        places = {name: i for i, name in enumerate(data.names)}
-        index = np.array([places[name] for name in names])
-    if samples is not None and samples < len(index):
-        index = np.sort(np.random.default_rng(0).choice(index, samples, replace=False))
-    labels = data.euler_mm_deg[index]
+    labels = data.euler_mm_deg[rows]
     offset, blobs = np.zeros(2), []
-    for row in index:
+    for row in rows:
         image = data.image(int(row))
         blobs.append(detect(image).centers)
         if image.shape[:2] == data.preprocessing.crop_shape:
             offset = np.array(data.preprocessing.bbox[:2])
     if labels[:, 2].min() > DEEPEST_REST:
-        raise ValueError(f"{folder}: must have contacts less than {DEEPEST_REST} mm deep, has none")
+        raise ValueError(f"{data.folder}: must have contacts less than {DEEPEST_REST} mm deep, has none")
     first = max(DEPTH_STEPS[0], labels[:, 2].min() + SHALLOW)
     steps = (first, *(depth for depth in DEPTH_STEPS if depth > first))
     shallow = np.flatnonzero(labels[:, 2] < first)
@@ -103,12 +91,12 @@ def track(
     neighbors = _Neighbors(rest)
     for number in range(PASSES):
         predicted = np.stack(
-            [_regressed(features, positions[:, m], np.arange(len(index))) for m in range(len(rest))], axis=1
+            [_regressed(features, positions[:, m], np.arange(len(rows))) for m in range(len(rest))], axis=1
         )
         for i, (seen, expected) in enumerate(zip(blobs, predicted, strict=True)):
             positions[i] = _grow(seen, neighbors, expected)
             if progress is not None:
-                progress(number * len(index) + i + 1, PASSES * len(index))
+                progress(number * len(rows) + i + 1, PASSES * len(rows))
     return Tracked(labels, rest + offset, positions + offset, ring)
 
 

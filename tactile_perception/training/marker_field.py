@@ -6,7 +6,6 @@ the field of a turned image is a matrix times that of the image.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import factorial
 from pathlib import Path
@@ -16,12 +15,11 @@ from numpy.typing import NDArray
 
 from tactile_perception.datasets.dataset import DatasetError, open_folder
 from tactile_perception.datasets.folder import TactileFolder
-from tactile_perception.markers.labelled import track
+from tactile_perception.markers.labelled import Progress, track
 from tactile_perception.training.symmetry import turn
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-Progress = Callable[[int, int], None]
 
 #: Part of the markers that must have been found for an image to tell its field.
 LEAST_FOUND = 0.9
@@ -162,7 +160,7 @@ class MarkerFields:
 
 def _followed(source: TactileFolder, rows: Rows, progress: Progress | None) -> tuple[Array, Array]:
     """Of one sensor's images: markers at rest (m, 2) and in each (n, m, 2), in pixels of the camera image."""
-    tracked = track(source.folder, names=[source.names[row] for row in rows], progress=progress)
+    tracked = track(source, rows, progress)
     return tracked.rest, tracked.positions
 
 

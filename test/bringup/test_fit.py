@@ -10,6 +10,7 @@ from tactile_bringup.fitting import network_error
 from tactile_bringup.fitting.network_error import Contacts
 from tactile_bringup.fitting.sensor import PARAMETERS, Fit, improve, loss, write
 from tactile_geometry import se3
+from tactile_perception.datasets.dataset import open_folder
 from tactile_perception.markers.labelled import Tracked, track
 from tactile_sim.collection import SensorFile, load_sensor, press_then_shear
 from tactile_sim.network_error import load_error_model
@@ -66,7 +67,7 @@ def folder(tmp_path_factory):
 
 
 def test_markers_of_labelled_images_are_told_apart(folder):
-    tracked = track(folder)
+    tracked = track(open_folder(folder), np.arange(80))
     assert tracked.positions.shape == (80, 331, 2)
     assert np.median(tracked.found) > 0.98
     middle = TacTip().marker_pixels[0]

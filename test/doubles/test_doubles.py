@@ -14,7 +14,7 @@ from tactile_scene.scene_file import load_scene
 
 def by_hand(text, *words):
     command = [sys.executable, "-m", "tactile_doubles", *map(str, words)]
-    return subprocess.run(command, input=text, capture_output=True, text=True, timeout=60)
+    return subprocess.run(command, input=text, capture_output=True, text=True, timeout=300)
 
 
 @pytest.fixture

@@ -236,7 +236,7 @@ def test_an_emergency_stop_passes_whoever_holds_the_stage():
     cell.safe._lock.acquire()
     stopper = threading.Thread(target=cell.safe.estop, args=("button",), daemon=True)
     stopper.start()
-    end = time.monotonic() + 10.0
+    end = time.monotonic() + 60.0
     while not cell.driver.stops and time.monotonic() < end:
         time.sleep(0.01)
     assert cell.driver.stops

@@ -44,7 +44,7 @@ def test_every_benchmark_says_what_it_takes(root: Path):
     assert len(files) > 25
     environment = os.environ | {"PYTHONSAFEPATH": "1"}  # as scripts/env.sh has it
     done = subprocess.run(
-        [sys.executable, "-c", EACH, *files], capture_output=True, text=True, env=environment, timeout=150
+        [sys.executable, "-c", EACH, *files], capture_output=True, text=True, env=environment, timeout=6000
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""
@@ -54,7 +54,7 @@ def test_a_benchmark_says_in_a_sentence_what_it_lacks(root: Path, tmp_path: Path
     (tmp_path / "sitecustomize.py").write_text("import sys\nsys.modules['mpmath'] = None\n")
     command = [sys.executable, str(root / "bench/fusion/accuracy.py")]
     environment = os.environ | {"PYTHONPATH": f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}"}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=600)
     assert done.returncode == 1
     assert "accuracy.py needs mpmath: pip install" in done.stderr and "Traceback" not in done.stderr
 
@@ -109,6 +109,6 @@ def test_a_sample_of_the_results_comes_out_again(root: Path):
         "object_belief",
         "fusion/accuracy",
     ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=150)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=6000)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("agrees") == 2

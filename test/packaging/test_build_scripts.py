@@ -24,7 +24,7 @@ def run(*command: str | Path, cwd: Path, **environment: str) -> subprocess.Compl
         env={"PATH": os.environ["PATH"], "PYTHONPATH": "", **environment},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
     )
 
 
@@ -332,7 +332,7 @@ def test_what_gives_way_is_finished_like_anything_else_and_its_status_counts(roo
     while ! grep -q . {tmp_path}/out; do sleep 0.01; done
     finish $work
     """
-    assert subprocess.run(["bash", "-c", script], timeout=60).returncode == 3
+    assert subprocess.run(["bash", "-c", script], timeout=300).returncode == 3
     assert (tmp_path / "out").read_text().split() == ["True", "False"]
 
 

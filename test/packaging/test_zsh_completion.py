@@ -18,7 +18,7 @@ pytest.importorskip("shtab", reason="needs shtab (the extra 'completion')")
 pytestmark = pytest.mark.skipif(not shutil.which("zsh"), reason="needs zsh (Debian, Ubuntu: apt install zsh)")
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
-PATIENCE = 30.0  # s
+PATIENCE = 120.0  # s
 PROMPT = "ready> "
 
 

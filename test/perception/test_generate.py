@@ -95,7 +95,7 @@ def alive(pid: int) -> bool:
         return False
 
 
-def wait_for(condition, timeout_s: float = 30.0) -> bool:
+def wait_for(condition, timeout_s: float = 300.0) -> bool:
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline and not condition():
         time.sleep(0.02)

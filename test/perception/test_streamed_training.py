@@ -164,7 +164,7 @@ def test_gradients_are_the_mean_of_the_processes_and_the_first_tells_the_others(
     script = tmp_path / "gradient.py"
     script.write_text(GRADIENT)
     run = torchrun(str(script))
-    said, _ = run.communicate(timeout=120)
+    said, _ = run.communicate()
     assert run.returncode == 0, said
     assert "[[1.5, 2.0, 3.0]] 0.5 {'rank': 0} True" in said
 
@@ -179,24 +179,24 @@ def test_two_processes_train_and_a_kill_loses_one_epoch_at_most(shards, tmp_path
     config = tmp_path / "config.yaml"
     write_config(config, CONFIG.merged({"training": {"decay_epochs": 3.0}}))
     whole = started(shards, tmp_path / "whole", config)
-    said, _ = whole.communicate(timeout=200)
+    said, _ = whole.communicate()
     assert whole.returncode == 0, said
     assert said.count("best") <= 6 and said.count("model:") == 1, "one of the processes reports"
 
     out = tmp_path / "killed"
     run = started(shards, out, config)
-    epochs, deadline = out / "epochs.csv", time.monotonic() + 120
+    epochs = out / "epochs.csv"
     while not (epochs.exists() and len(epochs.read_text().splitlines()) > 2):
-        assert time.monotonic() < deadline and run.poll() is None, run.communicate()[0]
+        assert run.poll() is None, run.communicate()[0]
         time.sleep(0.01)
     os.killpg(run.pid, signal.SIGKILL)
-    assert run.wait(30) == KILLED
+    assert run.wait() == KILLED
     for pid in running(out):  # torchrun starts a session for each process
         os.kill(pid, signal.SIGKILL)
     run.communicate()
     assert not (out / "result.json").exists()
     again = started(shards, out, config)
-    said, _ = again.communicate(timeout=200)
+    said, _ = again.communicate()
     assert again.returncode == 0 and "resumed after epoch" in said, said
     first, second = (columns(tmp_path / name / "epochs.csv") for name in ("whole", "killed"))
     assert first == second

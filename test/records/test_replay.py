@@ -338,9 +338,8 @@ def test_a_sweep_that_was_killed_goes_on_with_the_runs_that_are_missing(tmp_path
     script = f"from tactile_bringup.cli import main\nmain({words!r} + ['--jobs', '2'])"
     path = os.pathsep.join(filter(None, sys.path))
     process = subprocess.Popen([sys.executable, "-c", script], env={**os.environ, "PYTHONPATH": path})
-    deadline = time.monotonic() + 90
     while len(kept := list((tmp_path / "killed").glob(".runs/*.npz"))) < 2:
-        assert time.monotonic() < deadline and process.poll() is None
+        assert process.poll() is None
         time.sleep(0.01)
     process.kill()
     process.wait()
