@@ -92,7 +92,8 @@ class Opened:
 
         As events, not at a place: the page grows while nodes are found, which moves what lies there.
         """
-        self.row(name).locator("input").first.dispatch_event("click")
+        label = self.page.locator("label", has_text=re.compile(f"^{re.escape(name)}$"))
+        label.locator("xpath=ancestor::*[.//input][1]").locator("input").first.dispatch_event("click")
         self.page.get_by_role("option", name=option).dispatch_event("click")
 
     def images(self) -> str:

@@ -13,24 +13,18 @@ from browser import Opened, chromium, wait
 pytestmark = pytest.mark.live  # against the clock: a browser that draws in software
 
 
+RAMP = ("surface_following", "--scene", "ramp", "--fidelity", "ideal")
+#: Of two arms: what is run, and who feels something.
+FEELS = {"object_tracking": ("follower",), "dual_pushing": ("follower", "leader")}
+
+
 @contextmanager
-def simulated(folder):
+def simulated(folder, *words):
     """The command at work, and the address that it says."""
-    words = [
-        "surface_following",
-        "--scene",
-        "ramp",
-        "--fidelity",
-        "ideal",
-        "--out",
-        str(folder / "out"),
-        "--view",
-    ]
     said = folder / "said.txt"
+    command = [sys.executable, "-m", "tactile_bringup.cli", "simulate", *words, "--view"]
     with subprocess.Popen(
-        [sys.executable, "-m", "tactile_bringup.cli", "simulate", *words],
-        stdout=said.open("w"),
-        stderr=subprocess.STDOUT,
+        [*command, "--out", str(folder / "out")], stdout=said.open("w"), stderr=subprocess.STDOUT
     ) as process:
         assert wait(lambda: "page: http" in said.read_text() or process.poll() is not None), said.read_text()
         try:
@@ -39,11 +33,15 @@ def simulated(folder):
             process.kill()
 
 
+def is_drawn(viewer):
+    return wait(lambda: len(np.unique(viewer.picture().reshape(-1, 3), axis=0)) > 100)
+
+
 def test_a_run_without_ros_is_on_the_page_and_stays_there_until_ctrl_c(tmp_path):
-    with chromium() as browser, simulated(tmp_path) as (process, address, said):
+    with chromium() as browser, simulated(tmp_path, *RAMP) as (process, address, said):
         viewer = Opened(browser, address)
         assert viewer.sees("surface_following") and viewer.sees("follow")
-        assert wait(lambda: len(np.unique(viewer.picture().reshape(-1, 3), axis=0)) > 100), "it is empty"
+        assert is_drawn(viewer)
         assert wait(lambda: "stays on" in said.read_text()), said.read_text()
         assert "arm ramp: follow" in said.read_text(), "how far the run is stands where no terminal is, too"
         assert wait(lambda: "still being written" not in viewer.text())
@@ -57,9 +55,22 @@ def test_a_run_without_ros_is_on_the_page_and_stays_there_until_ctrl_c(tmp_path)
 
 
 def test_a_page_that_dies_leaves_the_run_as_it_is(tmp_path):
-    with simulated(tmp_path) as (process, _, said):
+    with simulated(tmp_path, *RAMP) as (process, _, said):
         children = subprocess.run(["pgrep", "-P", str(process.pid)], capture_output=True, text=True).stdout
         (page,) = children.split()
         subprocess.run(["kill", "-9", page], check=True)
         assert process.wait(150.0) == 0
         assert "the page has ended by itself" in " ".join(said.read_text().split())
+
+
+@pytest.mark.parametrize("task", FEELS)
+def test_both_arms_are_there_and_the_image_of_each_that_feels_moves(tmp_path, task):
+    with chromium() as browser, simulated(tmp_path, task) as (_, address, said):
+        viewer = Opened(browser, address)
+        for arm in ("leader", "follower"):
+            viewer.choose("arm", arm)
+            if arm in FEELS[task]:
+                first = viewer.images()
+                assert wait(lambda first=first: viewer.images() != first), said.read_text()
+        assert is_drawn(viewer)
+        viewer.close()
