@@ -22,14 +22,14 @@ fi
 
 exec 9>&-
 export PYTHONPATH=$lowest/lib
-# What differs with versions is what a library does, not what numbers do: few examples show it, of the simulator and
-# the drivers those tests that meet a library (Ruckig, OpenCV, SciPy, ur_rtde), and none of those that only compute long.
-cell=(drivers/test_{camera_frames,replay_camera,ur_limits,uvc_camera}.py scene/test_{kinematics,scene,shapes}.py
-    sim/test_{arm,collection,sensor_file,tactip}.py)
-computing=(control/test_{steering,pushing,object_tracking}.py filter/test_{fusion,fusion_exact,worst_errors}.py)
-files=("${cell[@]/#/test/}" "${computing[@]/#/--ignore=test/}")
+# What differs with versions is what a library does, not what numbers do: few examples show it, of those tests that meet one
+# (NumPy, SciPy, OpenCV, onnxruntime, rosbags, matplotlib, Ruckig, ur_rtde), and none of those that only compute long.
+chosen=(base filter/test_{bayes_filter,consistency,object_tracker,robust,smoother}.py
+    control/test_{limiter,servoing,task_file,trajectory}.py drivers/test_{camera_frames,replay_camera,ur_limits,uvc_camera}.py
+    scene/test_{kinematics,scene,shapes}.py sim/test_{arm,collection,sensor_file,tactip}.py
+    records/test_{bag,damaged_bags,export,figures,lerobot,metrics,mounting,replay_inputs,run_page,time_offset,tip}.py
+    perception/test_{estimator,estimate,evaluation}.py)
 [ $# -gt 0 ] || set -- -q --disable-warnings --hypothesis-profile=few --numprocesses auto --maxprocesses 4 --dist loadfile \
-    -m "not slow and not live" test/base test/filter test/control "${files[@]}" test/records \
-    test/perception/test_estimator.py test/perception/test_estimate.py test/perception/test_evaluation.py
+    -m "not slow and not live" "${chosen[@]/#/test/}"
 export OMP_NUM_THREADS=1  # there are as many processes as cores
 exec "$venv/bin/pytest" "$@"
