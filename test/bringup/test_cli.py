@@ -143,6 +143,15 @@ def test_help_comes_without_ros_and_without_heavy_libraries():
     assert not loaded & {"rclpy", "torch", "onnxruntime", "matplotlib", "numpy", "rich"}
 
 
+def test_doctor_says_so_where_no_twist_was_sent(monkeypatch):
+    from tactile_bringup import timing
+
+    nothing = {"latency_ms": {"p50": None, "p99": None, "max": None}, "end": "the pose is old"}
+    monkeypatch.setattr(timing, "measured", lambda task: nothing)
+    finding = timing.check_exposure_to_twist()
+    assert finding.verdict == timing.FAILED and finding.found == "no run: the pose is old"
+
+
 def test_doctor_names_what_is_missing(capsys, monkeypatch):
     from tactile_bringup.commands import doctor
 
