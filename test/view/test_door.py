@@ -20,6 +20,8 @@ from tactile_view.door import MOST_PAGES
 from tactile_view.recording import Recording
 from tactile_view.recording_page import RecordingPage
 
+PATIENCE = 300.0  # s, where a test gives way to others
+
 
 @contextlib.contextmanager
 def served(folder, host):
@@ -39,7 +41,9 @@ def page(tmp_path_factory):
 
 async def opened(page, origin: str):
     address = page.address.replace("http", "ws")
-    return await websockets.connect(address, origin=origin, subprotocols=[f"viser-v{viser.__version__}"])
+    return await websockets.connect(
+        address, origin=origin, subprotocols=[f"viser-v{viser.__version__}"], open_timeout=PATIENCE
+    )
 
 
 def test_its_own_page_is_let_in(page):
@@ -71,7 +75,7 @@ def test_no_more_pages_than_it_can_serve(page):
             extra = await opened(page, page.address)
             with pytest.raises(websockets.ConnectionClosed) as closed:
                 while True:
-                    await asyncio.wait_for(extra.recv(), 30.0)
+                    await asyncio.wait_for(extra.recv(), PATIENCE)
             return str(closed.value)
 
         for _ in range(20):  # 1000 in all
