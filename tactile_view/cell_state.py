@@ -1,6 +1,6 @@
 """CellState: what messages have said of a cell up to now, the same live and from a recording.
 
-    cell = CellState(installed_types)
+    cell = CellState(installed_typestore)
     cell.take("/arm/contact/state", "tactile_msgs/msg/ContactState", data, received_ns)
     cell.arms["arm"].newest("belief")
 
@@ -11,7 +11,6 @@ and passed over: whoever shows something must not end by it.
 
 from __future__ import annotations
 
-import functools
 import struct
 from collections import Counter, deque
 from collections.abc import Callable
@@ -30,7 +29,7 @@ from tactile_records.runs.events import Telling, tells
 from tactile_records.runs.from_bag import STREAMS, frames_of, transform_matrix
 from tactile_records.runs.record import Event
 from tactile_wire.errors import MessageError
-from tactile_wire.message_definitions import message_definition, typestore
+from tactile_wire.message_definitions import installed_typestore
 
 Array = NDArray[Any]
 Row = dict[str, Any]
@@ -49,12 +48,6 @@ SENSELESS = (
 )  # fmt: skip
 _NAMES = {topic: name for name, (topic, _) in STREAMS.items()}
 _IMAGES = (topics.IMAGE.name, topics.compressed(topics.IMAGE).name)
-
-
-@functools.lru_cache(maxsize=64)  # asked for by each message, and read from files
-def installed_types(type_name: str) -> Any:
-    """A type as it is installed."""
-    return typestore(type_name, message_definition(type_name))
 
 
 @dataclass
@@ -104,7 +97,7 @@ class CellState:
     now_ns : stamp of the latest message
     """
 
-    def __init__(self, types: Types = installed_types, most_events: int | None = MOST_EVENTS) -> None:
+    def __init__(self, types: Types = installed_typestore, most_events: int | None = MOST_EVENTS) -> None:
         self.types, self._most_events = types, most_events
         self.clear()
 

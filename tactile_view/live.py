@@ -12,7 +12,8 @@ from tactile_bringup.launching.graph_client import GraphClient
 from tactile_bringup.launching.operator import Operator, OperatorError
 from tactile_ros.conversions import message_class
 from tactile_ros.qos import DIAGNOSTICS, IMAGE, LOOKING, NOTES, TF_STATIC
-from tactile_view.cell_state import CellState, installed_types, shown_topics
+from tactile_view.cell_state import CellState, shown_topics
+from tactile_wire.message_definitions import installed_typestore
 
 LOOK = 1.0  # s, between looks for arms that are new
 KEPT = 5.0  # s, that it goes on after the last page was closed: it may be loaded anew
@@ -34,7 +35,7 @@ class LiveGraph(GraphClient):
     What arms say many times a second is heard only while somebody looks: else no byte of it comes here.
     """
 
-    types = staticmethod(installed_types)
+    types = staticmethod(installed_typestore)
 
     def __init__(self, domain_id: int, state: CellState) -> None:
         super().__init__(VIEW, domain_id)

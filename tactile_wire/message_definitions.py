@@ -115,7 +115,13 @@ def type_hash(type_name: str, text: str) -> str:
 
 def type_fields(type_name: str) -> Any:
     """Type -> (constants, fields) of an installed type and all that it uses, as `rosbags` has them."""
-    return typestore(type_name, message_definition(type_name)).fielddefs
+    return installed_typestore(type_name).fielddefs
+
+
+@functools.lru_cache(maxsize=64)
+def installed_typestore(type_name: str) -> Any:
+    """`typestore` of a type as it is installed, whose files are read once: messages ask for it one by one."""
+    return typestore(type_name, message_definition(type_name))
 
 
 @functools.lru_cache(maxsize=64)

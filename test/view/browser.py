@@ -83,6 +83,10 @@ class Opened:
         data = self.page.locator("canvas").first.screenshot()
         return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
 
+    def is_drawn(self) -> bool:
+        """Whether the scene comes to show something."""
+        return wait(lambda: len(np.unique(self.picture().reshape(-1, 3), axis=0)) > 100)
+
     def row(self, name: str):
         """What stands beside a name, its input among it."""
         return self.page.get_by_text(name, exact=True).locator("xpath=ancestor::*[.//input][1]").first

@@ -7,9 +7,10 @@ import viser
 from cell_messages import messages
 
 from tactile_bringup.launching.page_process import free_port
-from tactile_view.cell_state import CellState, installed_types
+from tactile_view.cell_state import CellState
 from tactile_view.marker_picture import marker_picture
 from tactile_view.panels import MARKERS, PLAIN, TouchPanel
+from tactile_wire.message_definitions import installed_typestore
 
 APART, FURTHER = 20, 30  # px, of markers to the left and to the right
 CORNERS = 4  # of those to the right, which have too few neighbours to be told from specks
@@ -54,7 +55,7 @@ def test_a_choice_on_the_page_shows_them_also_of_an_image_that_stands_still():
         state.take(*message)
     server = viser.ViserServer(host="127.0.0.1", port=free_port("127.0.0.1"), verbose=False)
     try:
-        panel = TouchPanel(server, installed_types)
+        panel = TouchPanel(server, installed_typestore)
         for choice, shape, said in (
             (PLAIN, (48, 64, 3), False),
             (MARKERS, (360, 480, 3), True),

@@ -6,7 +6,6 @@ import subprocess
 import sys
 from contextlib import contextmanager
 
-import numpy as np
 import pytest
 from browser import Opened, chromium, wait
 
@@ -33,15 +32,11 @@ def simulated(folder, *words):
             process.kill()
 
 
-def is_drawn(viewer):
-    return wait(lambda: len(np.unique(viewer.picture().reshape(-1, 3), axis=0)) > 100)
-
-
 def test_a_run_without_ros_is_on_the_page_and_stays_there_until_ctrl_c(tmp_path):
     with chromium() as browser, simulated(tmp_path, *RAMP) as (process, address, said):
         viewer = Opened(browser, address)
         assert viewer.sees("surface_following") and viewer.sees("follow")
-        assert is_drawn(viewer)
+        assert viewer.is_drawn()
         assert wait(lambda: "stays on" in said.read_text()), said.read_text()
         assert "arm ramp: follow" in said.read_text(), "how far the run is stands where no terminal is, too"
         assert wait(lambda: "still being written" not in viewer.text())
@@ -72,5 +67,5 @@ def test_both_arms_are_there_and_the_image_of_each_that_feels_moves(tmp_path, ta
             if arm in FEELS[task]:
                 first = viewer.images()
                 assert wait(lambda first=first: viewer.images() != first), said.read_text()
-        assert is_drawn(viewer)
+        assert viewer.is_drawn()
         viewer.close()
