@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 import viser
+from browser import wait
 from cell_messages import messages
 
 from tactile_bringup.launching.page_process import free_port
@@ -61,9 +62,9 @@ def test_a_choice_on_the_page_shows_them_also_of_an_image_that_stands_still():
             (MARKERS, (360, 480, 3), True),
             (PLAIN, (48, 64, 3), False),
         ):
-            panel.choice.value = choice
-            panel.show(state.arms["arm"])
-            assert panel._image.image.shape == shape
+            panel.choice.value = choice  # which a thread of the server's hears
+            arm = state.arms["arm"]
+            assert wait(lambda arm=arm, shape=shape: panel.show(arm) or panel._image.image.shape == shape)
             assert ("no density: 0 markers found" in panel._words.content) == said
     finally:
         server.stop()
