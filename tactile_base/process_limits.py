@@ -1,7 +1,7 @@
 """What a process may take of the machine (`ulimit`), what others leave of it, and what our processes need.
 
 Python, its libraries and Fast DDS end in the middle of something where a limit is reached: by SIGABRT,
-SIGSEGV, or with a traceback out of an import. `bench/graph/process_needs.py` measures what is needed.
+SIGSEGV, or with a traceback out of an import.
 """
 
 from __future__ import annotations

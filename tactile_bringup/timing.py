@@ -118,10 +118,10 @@ def check_exposure_to_twist(options: Sequence[str] = ()) -> Finding:
     return Finding(verdict, "exposure to twist", f"{text}{advice}")
 
 
-def measured(task: Sequence[str], command: Sequence[str] = LAUNCH) -> dict[str, Any]:
+def measured(task: Sequence[str]) -> dict[str, Any]:
     """The report of one launch, recorded, with its `exit` code and how it came to its `end`."""
     with tempfile.TemporaryDirectory() as folder:
-        launch = [*command, *task, "--headless", "--out", folder, "--record", f"{folder}/bag"]
+        launch = [*LAUNCH, *task, "--headless", "--out", folder, "--record", f"{folder}/bag"]
         done = subprocess.run(launch, capture_output=True, text=True, check=False)
         values = reported(Path(folder))
     return values | {"exit": done.returncode, "end": (done.stdout + done.stderr).strip()[-200:]}

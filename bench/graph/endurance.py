@@ -24,11 +24,10 @@ from typing import Any
 import numpy as np
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
-from websockets.typing import Subprotocol
+from websockets.typing import Origin, Subprotocol
 
 sys.path.extend(map(str, Path(__file__).resolve().parents[:2]))
 
-from looking import Viewer
 from shared import Table, parser, percentiles
 
 from tactile_bringup.launching.environment import free_domain_id
@@ -38,6 +37,52 @@ from tactile_records.runs.from_bag import read_arms
 
 PERIOD, PARTS = 10.0, 6
 SCENE = ["surface_following", "--scene", "ramp", "--headless"]
+#: What a browser says first: a page counts as one that looks from then on.
+CAMERA = {
+    "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.5, 0.5, 0.5), "fov": 0.8,
+    "near": 0.01, "far": 100.0, "image_height": 800, "image_width": 1200, "look_at": (0.0, 0.0, 0.0),
+    "up_direction": (0.0, 0.0, 1.0),
+}  # fmt: skip
+TICK = os.sysconf("SC_CLK_TCK")
+
+
+class Viewer:
+    """`tactile view` with a page that takes all that is sent, and draws nothing."""
+
+    def __init__(self) -> None:
+        command = [*LAUNCH[:-1], "view", "--port", "0"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        self.address = re.search(r"http://[\d.:]+", self.process.stdout.readline())[0]  # type: ignore[index]
+        self._ends = False
+        self._started, self._before = time.monotonic(), self._used()
+        self._thread = threading.Thread(target=self._look)
+        self._thread.start()
+
+    def _look(self) -> None:
+        import msgspec
+        import viser
+
+        where, protocol = self.address.replace("http", "ws"), Subprotocol(f"viser-v{viser.__version__}")
+        with connect(where, origin=Origin(self.address), subprotocols=[protocol], max_size=None) as page:
+            page.send(msgspec.msgpack.encode(CAMERA))
+            while not self._ends:
+                with contextlib.suppress(TimeoutError):
+                    page.recv(0.2)
+
+    def _used(self) -> float:
+        """Processor time so far, s."""
+        words = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+    def close(self) -> float:
+        """End it; the part of a core that it has used."""
+        seconds, used = time.monotonic() - self._started, self._used() - self._before
+        self._ends = True
+        self._thread.join()
+        self.process.terminate()
+        self.process.wait()
+        return used / seconds
 
 
 def look(folder: Path) -> dict[str, tuple[float, int, int]]:
@@ -139,7 +184,7 @@ def main() -> int:
         written: dict[str, Any] = {"stdout": log, "stderr": log}
         launched = subprocess.Popen(command, **written)
         bridge = client(domain, count) if arguments.client else None
-        viewer = Viewer(1) if arguments.page else None
+        viewer = Viewer() if arguments.page else None
         doing = [*LAUNCH[:-1], "run", *SCENE]
         task = subprocess.Popen(doing, **written)
         while time.monotonic() < end and launched.poll() is None:
@@ -155,6 +200,8 @@ def main() -> int:
             process.wait()
     print(dict(count))
     settled = samples[3:-3]  # neither while it starts nor while it ends
+    if len(settled) < PARTS:
+        sys.exit(f"{len(samples)} looks are too few to say what grows: --minutes 2 or more")
     table(settled)
     latencies(bag)
     return launched.returncode

@@ -2,9 +2,7 @@
 
 Each row is one run of surface following on the simulated ramp, as real nodes, recorded::
 
-    python bench/graph/latency_under_load.py [--loops 0 2 4 8] [--priorities 0 20] [--composed]
-
-With --composed, each row also with estimator, filter and controller in one process (composed_nodes.py).
+    python bench/graph/latency_under_load.py [--loops 0 2 4 8] [--priorities 0 20]
 """
 
 import itertools
@@ -15,14 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from shared import Table, busy, parser
 
-from tactile_bringup.timing import LAUNCH, measured
-
-
-def measure(loops: int, priority: int, composed: bool, task: list[str]) -> dict:
-    """The report of one run; empty but for its end if there is none."""
-    one = [sys.executable, str(Path(__file__).with_name("composed_nodes.py"))]
-    with busy(loops):
-        return measured([*task, "--priority", str(priority)], one if composed else LAUNCH)
+from tactile_bringup.timing import measured
 
 
 def main() -> None:
@@ -30,28 +21,17 @@ def main() -> None:
     arguments = parser(__doc__)
     arguments.add_argument("--loops", type=int, nargs="+", default=[0, 2, 4, 8])
     arguments.add_argument("--priorities", type=int, nargs="+", default=[0, 20])
-    arguments.add_argument("--composed", action="store_true", help="in one process, too")
     arguments.add_argument("task", nargs="*", default=["surface_following"])
     given = arguments.parse_args()
-    heads = (
-        "busy loops",
-        "priority",
-        "processes",
-        "p50, p99 (ms)",
-        "dropped, in silence",
-        "exit code",
-    )
+    heads = ("busy loops", "priority", "p50, p99 (ms)", "dropped, in silence", "exit code")
     table = Table(heads, "one run a row", timed=True)
-    ways = [(False, "3"), (True, "1")] if given.composed else [(False, "3")]
     for loops, priority in itertools.product(given.loops, given.priorities):
-        for composed, processes in ways:
-            values = measure(loops, priority, composed, given.task)
-            latency, frames = values.get("latency_ms", {}), values.get("frames", {})
-            both = f"{latency['p50']:.1f}, {latency['p99']:.1f}" if latency else "no run: " + values["end"]
-            lost = ""
-            if frames:
-                lost = f"{sum(frames['lost'].values())} of {frames['exposed']}, {frames['silent']}"
-            table.row(loops, priority, processes, both, lost, values["exit"])
+        with busy(loops):
+            values = measured([*given.task, "--priority", str(priority)])
+        latency, frames = values.get("latency_ms", {}), values.get("frames", {})
+        both = f"{latency['p50']:.1f}, {latency['p99']:.1f}" if latency else "no run: " + values["end"]
+        lost = f"{sum(frames['lost'].values())} of {frames['exposed']}, {frames['silent']}" if frames else ""
+        table.row(loops, priority, both, lost, values["exit"])
 
 
 if __name__ == "__main__":

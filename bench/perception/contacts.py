@@ -1,13 +1,14 @@
 """Errors of a network by the number of labelled contacts it was trained on, from several starts.
 
-    python bench/perception/contacts.py DATA [--start sim=RUN sim=RUN:base] [--sizes 25 100] [--jobs 2]
+    python bench/perception/contacts.py DATA [--start sim=RUN sim=RUN:base] [--sizes 0 25 100] [--jobs 2]
 
 A fifth of DATA (of the part for training where it has parts) is held out to measure on. Of the rest the
 first N of a random order are taken, of which a fifth calibrates, and chooses the epoch where the loss does. A
 start is the folder of a finished run of `tactile train`, and of its network `base` or `convolutions` stay as
-they are where that is added (training.frozen); without --start networks start from random weights. --vary
-names settings of one more network. Rows that are done stay in OUT/rows.jsonl. Needs PyTorch
-(`scripts/setup.sh train`).
+they are where that is added (training.frozen); without --start networks start from random weights. Size 0 is
+the start as it is. --vary names settings of one more network. With --unlabelled the network labels so many
+further images, and is trained once more on them and the contacts. Rows that are done stay in OUT/rows.jsonl.
+Needs PyTorch (`scripts/setup.sh train`).
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from shared import Table, needs, parser
 
 from tactile_base.config_paths import config_path
 from tactile_base.jobs import JobRows, Workers, run_jobs
+from tactile_bringup.learning import PARTS
 from tactile_perception.datasets.dataset import TactileDataset, read_dataset, training_part
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.plots import log_axis, plot_grid
@@ -39,7 +41,7 @@ from tactile_perception.evaluation.calibration import CalibrationSettings, fit_c
 from tactile_perception.evaluation.models import predict_all
 
 HELD_OUT = 5
-SIZES = (25, 50, 100, 200, 500, 1000, 2000, 6000)
+SIZES = (0, 25, 50, 100, 200, 500, 1000, 2000, 6000)
 FEWEST = 20  # samples to calibrate on
 RANDOM = "random"
 
@@ -54,6 +56,7 @@ class Job:
     seed: int
     sections: dict[str, Any]
     run: str
+    unlabelled: int
 
     @property
     def name(self) -> str:
@@ -91,15 +94,18 @@ def taken(data: TactileDataset, rows: np.ndarray, size: int) -> TactileDataset:
     )
 
 
-def parts(count: int, size: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows to train on, to choose the epoch on, and to measure on."""
+def parts(count: int, job: Job) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rows to train on, to choose the epoch on, to measure on, and whose images alone are known."""
     test = np.arange(0, count, HELD_OUT)
-    pool = np.random.default_rng(seed).permutation(np.setdiff1d(np.arange(count), test))[:size]
-    return pool[len(pool) // HELD_OUT :], pool[: len(pool) // HELD_OUT], test
+    rows = np.random.default_rng(job.seed).permutation(np.setdiff1d(np.arange(count), test))
+    pool, others = rows[: job.size], rows[job.size : job.size + job.unlabelled]
+    return pool[len(pool) // HELD_OUT :], pool[: len(pool) // HELD_OUT], test, others
 
 
-def trained(job: Job) -> dict[str, Any]:
-    """A row: errors and coverage on what was held out; the network is calibrated on what chose its epoch."""
+def learned(
+    job: Job, data: TactileDataset, learning: np.ndarray, choosing: np.ndarray
+) -> tuple[Estimator, int]:
+    """A network of these rows, and its epoch."""
     from tactile_perception.training.augmentation import SCALE
     from tactile_perception.training.config import TrainConfig
     from tactile_perception.training.data import arrange, load_start
@@ -107,31 +113,51 @@ def trained(job: Job) -> dict[str, Any]:
     from tactile_perception.training.run_folder import RunFolder
     from tactile_perception.training.train import train_network
 
-    started = time.monotonic()
-    config, data = TrainConfig.from_mapping(job.sections), dataset(job.data)
-    learning, choosing, test = parts(len(data), job.size, job.seed)
+    config = TrainConfig.from_mapping(job.sections)
     size = config.network.image_size
-    preprocessing = data.preprocessing.replaced(size=size)
     large = SCALE * size if config.augmentation.active else size
+    preprocessing = data.preprocessing.replaced(size=size)
     ready = arrange(taken(data, learning, large), taken(data, choosing, size), config, preprocessing)
     if config.training.start:
         ready = ready.started(load_start(config.training.start, config.network))
     shutil.rmtree(job.run, ignore_errors=True)
     result = train_network(ready, RunFolder(job.run), config, TrainingProgress())
-    estimator = Estimator(result.model_path)
-    model = ready.model
+    return Estimator(result.model_path), result.best.number + 1
+
+
+def labelled_by(estimator: Estimator, data: TactileDataset, rows: np.ndarray) -> TactileDataset:
+    """The data with what a network says of the images in these rows in place of their labels."""
+    mean, _ = predict_all(estimator, taken(data, rows, estimator.metadata.preprocessing.size).images)
+    euler = data.euler_mm_deg.copy()
+    euler[rows] = estimator.metadata.contact_model.euler(mean)
+    return dataclasses.replace(data, euler_mm_deg=euler)
+
+
+def trained(job: Job) -> dict[str, Any]:
+    """A row: errors and coverage on what was held out; the network is calibrated on what chose its epoch."""
+    started = time.monotonic()
+    data = dataset(job.data)
+    learning, choosing, test, others = parts(len(data), job)
+    if job.size:
+        estimator, epoch = learned(job, data, learning, choosing)
+    else:
+        estimator, epoch = Estimator(Path(job.sections["training"]["start"]) / "model.onnx"), 0
+    if job.unlabelled:
+        more = labelled_by(estimator, data, others)
+        estimator, epoch = learned(job, more, np.concatenate([learning, others]), choosing)
+    model = estimator.metadata.contact_model
 
     def answers(rows: np.ndarray) -> tuple[np.ndarray, ...]:
-        samples = taken(data, rows, size)
+        samples = taken(data, rows, estimator.metadata.preprocessing.size)
         labels = samples.labels_for(model)
         mean, cov = predict_all(estimator, samples.images)
         return labels, mean, cov, model.error(mean, labels)
 
     labels, mean, cov, error = answers(test)
     if len(choosing) >= FEWEST:
-        known, *others, off = answers(choosing)
+        known, *found, off = answers(choosing)
         settings = CalibrationSettings(min_samples=FEWEST)
-        cov = fit_calibration(known, *others, settings, off).covariance(mean, cov)
+        cov = fit_calibration(known, *found, settings, off).covariance(mean, cov)
     within = error**2 <= 1.96**2 * np.diagonal(cov, axis1=1, axis2=2)
     return {
         "name": job.name,
@@ -143,7 +169,7 @@ def trained(job: Job) -> dict[str, Any]:
         "mae": np.abs(error).mean(axis=0).tolist(),
         "guess": np.abs(labels - np.median(labels, axis=0)).mean(axis=0).tolist(),
         "within 95 %": (100.0 * within.mean(axis=0)).tolist(),
-        "epoch": result.best.number + 1,
+        "epoch": epoch,
         "seconds": time.monotonic() - started,
     }
 
@@ -163,15 +189,10 @@ def job_of(
         )
         name += f":{frozen}" if frozen else ""
     name += "".join(f" {change}" for change in changes)
+    name += f" and {given.unlabelled} unlabelled" if given.unlabelled else ""
     config = config.changed([*given.set, *changes, f"training.seed={seed}", "training.holdback=0"])
     folder = given.out.absolute() / f"{data.stem} {name} {size} {seed}".replace("/", "_")
-    return Job(str(data.absolute()), size, name, seed, config.plain(), str(folder))
-
-
-#: Panels of the figure: what is shown, unit, and which columns it is the mean of.
-PANELS = (
-    ("depth", "mm", [2]), ("tilt", "deg", [3, 4]), ("shear", "mm", [0, 1]), ("twist", "deg", [5]),
-)  # fmt: skip
+    return Job(str(data.absolute()), size, name, seed, config.plain(), str(folder), given.unlabelled)
 
 
 def scaled(row: dict[str, Any], key: str) -> np.ndarray:
@@ -183,18 +204,20 @@ def scaled(row: dict[str, Any], key: str) -> np.ndarray:
 def draw(rows: list[dict[str, Any]], path: Path) -> None:
     """Errors against contacts, a row of panels for each data set and a line for each start; gray: a guess."""
     names = list(dict.fromkeys(row["data"] for row in rows))
+    ticks = [tick for tick in (0, 25, 100, 1000) if tick >= min(row["size"] for row in rows)]
     starts = list(dict.fromkeys(row["start"] for row in rows))
-    figure, grid = plot_grid(len(names), len(PANELS), 2.4)
+    figure, grid = plot_grid(len(names), len(PARTS), 2.4)
     for name, panels in zip(names, grid, strict=True):
-        for axes, (what, unit, columns) in zip(panels, PANELS, strict=True):
+        for axes, (what, (columns, unit)) in zip(panels, PARTS.items(), strict=True):
             for number, start in enumerate(starts):
                 own = [row for row in rows if row["data"] == name and row["start"] == start]
                 own.sort(key=lambda row: row["size"])
-                errors = [scaled(row, "mae")[columns].mean() for row in own]
+                errors = [scaled(row, "mae")[[*columns]].mean() for row in own]
                 if own:
                     axes.plot([row["size"] for row in own], errors, "o-", color=f"C{number}", label=start)
-                    axes.axhline(scaled(own[0], "guess")[columns].mean(), color="0.7", zorder=0)
-            log_axis(axes, "x")
+                    axes.axhline(scaled(own[0], "guess")[[*columns]].mean(), color="0.7", zorder=0)
+            axes.set_xscale("symlog", linthresh=25.0, linscale=0.5)  # from 0 on
+            axes.set_xticks(ticks, [f"{tick}" for tick in ticks])
             log_axis(axes, "y")
             axes.set(xlabel="contacts", ylabel=f"{what} ({unit})", title=name)
             axes.grid(alpha=0.3)
@@ -213,6 +236,7 @@ def main() -> None:
     add("--start", nargs="*", default=[RANDOM], metavar="NAME=RUN", help="also NAME=RUN:base, and `random`")
     add("--vary", nargs="*", action="append", metavar="SECTION.NAME=VALUE", help="of a further network each")
     add("--sizes", type=int, nargs="*", default=SIZES)
+    add("--unlabelled", type=int, default=0, metavar="IMAGES", help="that the network labels itself")
     add("--pixels", type=int, default=128, help="side at which images are kept: twice that of a network")
     add("--seeds", type=int, default=1)
     add("--jobs", type=int, default=1)
@@ -228,6 +252,7 @@ def main() -> None:
         for path in data
         for changes in given.vary or [[]]
         for start in given.start
+        if size or start != RANDOM
     ]
     rows = JobRows(given.out / "rows.jsonl")
     for done in run_jobs(trained, rows.missing(jobs), Workers(given.jobs, given.scheduler), print):
