@@ -7,8 +7,9 @@ first N of a random order are taken, of which a fifth calibrates, and chooses th
 start is the folder of a finished run of `tactile train`, and of its network `base` or `convolutions` stay as
 they are where that is added (training.frozen); without --start networks start from random weights. Size 0 is
 the start as it is. --vary names settings of one more network. With --unlabelled the network labels so many
-further images, and is trained once more on them and the contacts. Rows that are done stay in OUT/rows.jsonl.
-Needs PyTorch (`scripts/setup.sh train`).
+further images, and is trained once more on them and the contacts. The start `plain` is no start, but a
+plain network (plain_network.py). Rows that are done stay in OUT/rows.jsonl. Needs PyTorch
+(`scripts/setup.sh train`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import pickle
 import shutil
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -35,6 +37,7 @@ from tactile_base.config_paths import config_path
 from tactile_base.jobs import JobRows, Workers, run_jobs
 from tactile_bringup.learning import PARTS
 from tactile_perception.datasets.dataset import TactileDataset, read_dataset, training_part
+from tactile_perception.estimating.contact_model import CONTACT_MODELS, ContactModel
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.plots import log_axis, plot_grid
 from tactile_perception.evaluation.calibration import CalibrationSettings, fit_calibration
@@ -43,7 +46,7 @@ from tactile_perception.evaluation.models import predict_all
 HELD_OUT = 5
 SIZES = (0, 25, 50, 100, 200, 500, 1000, 2000, 6000)
 FEWEST = 20  # samples to calibrate on
-RANDOM = "random"
+RANDOM, PLAIN = "random", "plain"
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,23 @@ class Job:
     @property
     def name(self) -> str:
         return f"{Path(self.data).stem} {self.start} {self.size} {self.seed}"
+
+
+@dataclass(frozen=True)
+class Network:
+    """What it is asked by, what it tells, of how large images, and its epoch."""
+
+    estimator: Any
+    model: ContactModel
+    size: int
+    epoch: int = 0
+
+    @classmethod
+    def of(cls, path: Path, epoch: int = 0) -> Network:
+        """Of a model file."""
+        estimator = Estimator(path)
+        metadata = estimator.metadata
+        return cls(estimator, metadata.contact_model, metadata.preprocessing.size, epoch)
 
 
 @cache
@@ -102,10 +122,8 @@ def parts(count: int, job: Job) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
     return pool[len(pool) // HELD_OUT :], pool[: len(pool) // HELD_OUT], test, others
 
 
-def learned(
-    job: Job, data: TactileDataset, learning: np.ndarray, choosing: np.ndarray
-) -> tuple[Estimator, int]:
-    """A network of these rows, and its epoch."""
+def learned(job: Job, data: TactileDataset, learning: np.ndarray, choosing: np.ndarray) -> Network:
+    """A network of these rows."""
     from tactile_perception.training.augmentation import SCALE
     from tactile_perception.training.config import TrainConfig
     from tactile_perception.training.data import arrange, load_start
@@ -116,20 +134,27 @@ def learned(
     config = TrainConfig.from_mapping(job.sections)
     size = config.network.image_size
     large = SCALE * size if config.augmentation.active else size
+    if job.start == PLAIN:
+        from plain_network import PlainNetwork
+
+        model = CONTACT_MODELS.load(config.training.model).narrowed(data.labelled, job.data)
+        samples = [taken(data, rows, size) for rows in (learning, choosing)]
+        pairs = [(each.images, each.labels_for(model)) for each in samples]
+        return Network(PlainNetwork(model, job.seed, *pairs), model, size)
     preprocessing = data.preprocessing.replaced(size=size)
     ready = arrange(taken(data, learning, large), taken(data, choosing, size), config, preprocessing)
     if config.training.start:
         ready = ready.started(load_start(config.training.start, config.network))
     shutil.rmtree(job.run, ignore_errors=True)
     result = train_network(ready, RunFolder(job.run), config, TrainingProgress())
-    return Estimator(result.model_path), result.best.number + 1
+    return Network.of(result.model_path, result.best.number + 1)
 
 
-def labelled_by(estimator: Estimator, data: TactileDataset, rows: np.ndarray) -> TactileDataset:
+def labelled_by(network: Network, data: TactileDataset, rows: np.ndarray) -> TactileDataset:
     """The data with what a network says of the images in these rows in place of their labels."""
-    mean, _ = predict_all(estimator, taken(data, rows, estimator.metadata.preprocessing.size).images)
+    mean, _ = predict_all(network.estimator, taken(data, rows, network.size).images)
     euler = data.euler_mm_deg.copy()
-    euler[rows] = estimator.metadata.contact_model.euler(mean)
+    euler[rows] = network.model.euler(mean)
     return dataclasses.replace(data, euler_mm_deg=euler)
 
 
@@ -139,18 +164,18 @@ def trained(job: Job) -> dict[str, Any]:
     data = dataset(job.data)
     learning, choosing, test, others = parts(len(data), job)
     if job.size:
-        estimator, epoch = learned(job, data, learning, choosing)
+        network = learned(job, data, learning, choosing)
     else:
-        estimator, epoch = Estimator(Path(job.sections["training"]["start"]) / "model.onnx"), 0
+        network = Network.of(Path(job.sections["training"]["start"]) / "model.onnx")
     if job.unlabelled:
-        more = labelled_by(estimator, data, others)
-        estimator, epoch = learned(job, more, np.concatenate([learning, others]), choosing)
-    model = estimator.metadata.contact_model
+        more = labelled_by(network, data, others)
+        network = learned(job, more, np.concatenate([learning, others]), choosing)
+    model = network.model
 
     def answers(rows: np.ndarray) -> tuple[np.ndarray, ...]:
-        samples = taken(data, rows, estimator.metadata.preprocessing.size)
+        samples = taken(data, rows, network.size)
         labels = samples.labels_for(model)
-        mean, cov = predict_all(estimator, samples.images)
+        mean, cov = predict_all(network.estimator, samples.images)
         return labels, mean, cov, model.error(mean, labels)
 
     labels, mean, cov, error = answers(test)
@@ -158,7 +183,7 @@ def trained(job: Job) -> dict[str, Any]:
         known, *found, off = answers(choosing)
         settings = CalibrationSettings(min_samples=FEWEST)
         cov = fit_calibration(known, *found, settings, off).covariance(mean, cov)
-    within = error**2 <= 1.96**2 * np.diagonal(cov, axis1=1, axis2=2)
+    within = np.where(np.isnan(error), np.nan, error**2 <= 1.96**2 * np.diagonal(cov, axis1=1, axis2=2))
     return {
         "name": job.name,
         "data": Path(job.data).stem,
@@ -169,7 +194,7 @@ def trained(job: Job) -> dict[str, Any]:
         "mae": np.abs(error).mean(axis=0).tolist(),
         "guess": np.abs(labels - np.median(labels, axis=0)).mean(axis=0).tolist(),
         "within 95 %": (100.0 * within.mean(axis=0)).tolist(),
-        "epoch": epoch,
+        "epoch": network.epoch,
         "seconds": time.monotonic() - started,
     }
 
@@ -201,6 +226,12 @@ def scaled(row: dict[str, Any], key: str) -> np.ndarray:
     return np.array(units) * row[key]
 
 
+def mean_of(row: dict[str, Any], key: str, columns: Sequence[int]) -> float:
+    """Of what is labelled; NaN of nothing."""
+    found = scaled(row, key)[[*columns]]
+    return float(found[np.isfinite(found)].mean()) if np.isfinite(found).any() else np.nan
+
+
 def draw(rows: list[dict[str, Any]], path: Path) -> None:
     """Errors against contacts, a row of panels for each data set and a line for each start; gray: a guess."""
     names = list(dict.fromkeys(row["data"] for row in rows))
@@ -212,13 +243,14 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
             for number, start in enumerate(starts):
                 own = [row for row in rows if row["data"] == name and row["start"] == start]
                 own.sort(key=lambda row: row["size"])
-                errors = [scaled(row, "mae")[[*columns]].mean() for row in own]
+                errors = [mean_of(row, "mae", columns) for row in own]
+                axes.plot([row["size"] for row in own], errors, "o-", color=f"C{number}", label=start)
                 if own:
-                    axes.plot([row["size"] for row in own], errors, "o-", color=f"C{number}", label=start)
-                    axes.axhline(scaled(own[0], "guess")[[*columns]].mean(), color="0.7", zorder=0)
+                    axes.axhline(mean_of(own[0], "guess", columns), color="0.7", zorder=0)
             axes.set_xscale("symlog", linthresh=25.0, linscale=0.5)  # from 0 on
             axes.set_xticks(ticks, [f"{tick}" for tick in ticks])
-            log_axis(axes, "y")
+            if np.isfinite(axes.dataLim.get_points()).all():
+                log_axis(axes, "y")
             axes.set(xlabel="contacts", ylabel=f"{what} ({unit})", title=name)
             axes.grid(alpha=0.3)
         panels[0].legend(loc="lower left", fontsize="small")
@@ -233,7 +265,13 @@ def main() -> None:
     add("--out", type=Path, default=Path("out/contacts"))
     add("--config", type=Path, default=config_path("perception/gdn_symmetry.yaml"))
     add("--set", nargs="*", default=[], metavar="SECTION.NAME=VALUE", help="of all networks")
-    add("--start", nargs="*", default=[RANDOM], metavar="NAME=RUN", help="also NAME=RUN:base, and `random`")
+    add(
+        "--start",
+        nargs="*",
+        default=[RANDOM],
+        metavar="NAME=RUN",
+        help="also NAME=RUN:base, `random`, `plain`",
+    )
     add("--vary", nargs="*", action="append", metavar="SECTION.NAME=VALUE", help="of a further network each")
     add("--sizes", type=int, nargs="*", default=SIZES)
     add("--unlabelled", type=int, default=0, metavar="IMAGES", help="that the network labels itself")
@@ -252,7 +290,7 @@ def main() -> None:
         for path in data
         for changes in given.vary or [[]]
         for start in given.start
-        if size or start != RANDOM
+        if size or start not in (RANDOM, PLAIN)
     ]
     rows = JobRows(given.out / "rows.jsonl")
     for done in run_jobs(trained, rows.missing(jobs), Workers(given.jobs, given.scheduler), print):
@@ -266,7 +304,7 @@ def main() -> None:
     for row in found:
         errors, guess = (", ".join(f"{v:.3g}" for v in scaled(row, key)) for key in ("mae", "guess"))
         covered = row["within 95 %"]
-        bands = f"{min(covered):.0f} to {max(covered):.0f} %"
+        bands = f"{np.nanmin(covered):.0f} to {np.nanmax(covered):.0f} %"
         table.row(row["data"], row["start"], str(row["size"]), str(row["seed"]), errors, guess, bands)
     if found:
         draw(found, given.out / "contacts.png")
