@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ class PlainNetwork:
         optimizer = torch.optim.Adam(self._network.parameters(), RATE)
         steps = EPOCHS * -(-len(inputs) // BATCH)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+        spread = np.nan_to_num(known).std(axis=0) + 1e-12
         targets, least = ((targets - self._center) / self._scale)[:, finite], np.inf
         for _ in range(EPOCHS):
             self._network.train()
@@ -41,14 +43,11 @@ class PlainNetwork:
                 loss.backward()
                 optimizer.step()
                 schedule.step()
-            error = model.error(self._mean(as_input(others)), known)
-            score = float(np.nanmean(np.abs(error / np.nanstd(known, axis=0))))
+            error = np.nan_to_num(model.error(self._mean(as_input(others)), known))  # none where unlabelled
+            score = float((np.abs(error) / spread).mean())
             if score < least:
-                least, best = (
-                    score,
-                    {name: value.clone() for name, value in self._network.state_dict().items()},
-                )
-                self._covariance = np.diag(np.nan_to_num(np.nanmean(error**2, axis=0), nan=1.0))
+                least, best = score, copy.deepcopy(self._network.state_dict())
+                self._covariance = np.diag((error**2).mean(axis=0) + 1e-12)
         self._network.load_state_dict(best)
 
     def predict_uncalibrated(self, batch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
