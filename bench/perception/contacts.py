@@ -265,13 +265,7 @@ def main() -> None:
     add("--out", type=Path, default=Path("out/contacts"))
     add("--config", type=Path, default=config_path("perception/gdn_symmetry.yaml"))
     add("--set", nargs="*", default=[], metavar="SECTION.NAME=VALUE", help="of all networks")
-    add(
-        "--start",
-        nargs="*",
-        default=[RANDOM],
-        metavar="NAME=RUN",
-        help="also NAME=RUN:base, `random`, `plain`",
-    )
+    add("--start", nargs="*", default=[RANDOM], metavar="NAME=RUN", help="or RUN:base, `random`, `plain`")
     add("--vary", nargs="*", action="append", metavar="SECTION.NAME=VALUE", help="of a further network each")
     add("--sizes", type=int, nargs="*", default=SIZES)
     add("--unlabelled", type=int, default=0, metavar="IMAGES", help="that the network labels itself")
