@@ -73,7 +73,7 @@ class Viewer:
     def _used(self) -> float:
         """Processor time so far, s."""
         words = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+        return (int(words[11]) + int(words[12])) / TICK
 
     def close(self) -> float:
         """End it; the part of a core that it has used."""

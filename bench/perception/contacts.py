@@ -37,7 +37,7 @@ from tactile_base.config_paths import config_path
 from tactile_base.jobs import JobRows, Workers, run_jobs
 from tactile_bringup.learning import PARTS
 from tactile_perception.datasets.dataset import TactileDataset, read_dataset, training_part
-from tactile_perception.estimating.contact_model import CONTACT_MODELS, ContactModel
+from tactile_perception.estimating.contact_model import CONTACT_MODELS, FORCES, POSE, ContactModel
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.plots import log_axis, plot_grid
 from tactile_perception.evaluation.calibration import CalibrationSettings, fit_calibration
@@ -60,6 +60,7 @@ class Job:
     sections: dict[str, Any]
     run: str
     unlabelled: int
+    plain: bool
 
     @property
     def name(self) -> str:
@@ -133,14 +134,14 @@ def learned(job: Job, data: TactileDataset, learning: np.ndarray, choosing: np.n
 
     config = TrainConfig.from_mapping(job.sections)
     size = config.network.image_size
-    large = SCALE * size if config.augmentation.active else size
-    if job.start == PLAIN:
+    if job.plain:
         from plain_network import PlainNetwork
 
         model = CONTACT_MODELS.load(config.training.model).narrowed(data.labelled, job.data)
         samples = [taken(data, rows, size) for rows in (learning, choosing)]
         pairs = [(each.images, each.labels_for(model)) for each in samples]
         return Network(PlainNetwork(model, job.seed, *pairs), model, size)
+    large = SCALE * size if config.augmentation.active else size
     preprocessing = data.preprocessing.replaced(size=size)
     ready = arrange(taken(data, learning, large), taken(data, choosing, size), config, preprocessing)
     if config.training.start:
@@ -153,9 +154,10 @@ def learned(job: Job, data: TactileDataset, learning: np.ndarray, choosing: np.n
 def labelled_by(network: Network, data: TactileDataset, rows: np.ndarray) -> TactileDataset:
     """The data with what a network says of the images in these rows in place of their labels."""
     mean, _ = predict_all(network.estimator, taken(data, rows, network.size).images)
-    euler = data.euler_mm_deg.copy()
+    euler, force = data.euler_mm_deg.copy(), data.force.copy()
     euler[rows] = network.model.euler(mean)
-    return dataclasses.replace(data, euler_mm_deg=euler)
+    force[np.ix_(rows, [FORCES.index(name) for name in network.model.forces])] = mean[:, POSE:]
+    return dataclasses.replace(data, euler_mm_deg=euler, force=force)
 
 
 def trained(job: Job) -> dict[str, Any]:
@@ -217,7 +219,9 @@ def job_of(
     name += f" and {given.unlabelled} unlabelled" if given.unlabelled else ""
     config = config.changed([*given.set, *changes, f"training.seed={seed}", "training.holdback=0"])
     folder = given.out.absolute() / f"{data.stem} {name} {size} {seed}".replace("/", "_")
-    return Job(str(data.absolute()), size, name, seed, config.plain(), str(folder), given.unlabelled)
+    return Job(
+        str(data.absolute()), size, name, seed, config.plain(), str(folder), given.unlabelled, start == PLAIN
+    )
 
 
 def scaled(row: dict[str, Any], key: str) -> np.ndarray:
@@ -284,7 +288,7 @@ def main() -> None:
         for path in data
         for changes in given.vary or [[]]
         for start in given.start
-        if size or start not in (RANDOM, PLAIN)
+        if size or not (start in (RANDOM, PLAIN) or given.unlabelled)  # of what there is nothing yet
     ]
     rows = JobRows(given.out / "rows.jsonl")
     for done in run_jobs(trained, rows.missing(jobs), Workers(given.jobs, given.scheduler), print):

@@ -33,7 +33,7 @@ class PlainNetwork:
         optimizer = torch.optim.Adam(self._network.parameters(), RATE)
         steps = EPOCHS * -(-len(inputs) // BATCH)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
-        spread = np.nan_to_num(known).std(axis=0) + 1e-12
+        seen, spread = as_input(others), np.nan_to_num(known).std(axis=0) + 1e-12
         targets, least = ((targets - self._center) / self._scale)[:, finite], np.inf
         for _ in range(EPOCHS):
             self._network.train()
@@ -43,7 +43,7 @@ class PlainNetwork:
                 loss.backward()
                 optimizer.step()
                 schedule.step()
-            error = np.nan_to_num(model.error(self._mean(as_input(others)), known))  # none where unlabelled
+            error = np.nan_to_num(model.error(self._mean(seen), known))  # none where unlabelled
             score = float((np.abs(error) / spread).mean())
             if score < least:
                 least, best = score, copy.deepcopy(self._network.state_dict())

@@ -168,7 +168,7 @@ def test_every_file_named_in_the_docs_exists(root: Path, reference: Path):
                     found[1].startswith("docs/reference/") and (reference / Path(found[1]).name).exists()
                 )
                 and not re.search("[A-Z]{3}", found[1])  # NAME stands for a name
-                and not re.match(r"[^`]*`\s+of\s+commit\s+[0-9a-f]{7,}\b", text[found.end() :])
+                and not re.match(r"[^`]*`\s+of\s+commit\s+[0-9a-f]{7}\b", text[found.end() :])
             ]
     assert not missing
 
