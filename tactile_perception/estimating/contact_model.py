@@ -127,6 +127,11 @@ class ContactModel:
         """Places of the angles that go all round."""
         return tuple(k for k, quantity in enumerate(self.quantities) if quantity.turns)
 
+    @property
+    def directed(self) -> bool:
+        """Whether gamma goes all round: {f} has a direction on the surface, as along an edge."""
+        return POSE - 1 in self.turning
+
     @cached_property
     def known(self) -> NDArray[np.bool_]:
         """Which quantities (K,) are labelled."""

@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from tactile_perception.estimating.image import Image
 from tactile_perception.training.settings import AugmentationSettings
-from tactile_perception.training.symmetry import CropGeometry, find_center, turn, warped
+from tactile_perception.training.symmetry import (
+    CropGeometry,
+    SymmetryAxis,
+    find_center,
+    find_mirror,
+    mirror_of_labels,
+    pattern_at_rest,
+    reflection,
+    turn,
+    warped,
+)
 
 Array = NDArray[np.float64]
 
@@ -16,6 +27,9 @@ Array = NDArray[np.float64]
 SCALE = 2
 #: The markers' pattern has to fit itself this well to be called symmetric.
 MIN_CORRELATION = 0.8
+_INNER = 0.957  # of the radius of the markers' disk
+#: So many images tell in which direction they are mirrored.
+_MIRRORED = 500
 _KERNEL = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
 
 
@@ -30,6 +44,7 @@ class Augmenter:
     ----------
     center : (2,) of the markers in crop pixels
     correlation : of the pattern at rest with its turned copies; nan if the center was given
+    mirror : direction (rad, from x to y) of the line that images are mirrored at
     """
 
     def __init__(
@@ -40,7 +55,7 @@ class Augmenter:
         settings: AugmentationSettings,
         dark: float = 0.0,
     ) -> None:
-        """Find the markers' center; `AugmentationError` if they do not have the symmetry that settings name.
+        """Find the markers' center and mirror; `AugmentationError` without the symmetry that settings name.
 
         Parameters
         ----------
@@ -53,11 +68,12 @@ class Augmenter:
         self.size = images.shape[1] // SCALE
         self._geometry = CropGeometry(crop_shape, images.shape[1])
         self.center, self.correlation = self._find_center(images, depth)
+        self.mirror = self._find_mirror(images, depth) if settings.mirror else 0.0
         self._disk = self._geometry.disk(self.center, settings.symmetry_radius)
 
     def __call__(self, images: Image, rng: np.random.Generator) -> tuple[Image, NDArray[np.int64]]:
         """Images (n, SCALE * size, SCALE * size[, 3]) as (n, size, size[, 3]), and the turns of each (n,)."""
-        turns = rng.integers(0, self.settings.symmetry, len(images))
+        turns = rng.integers(0, self.settings.copies, len(images))
         result = np.empty((len(images), self.size, self.size, *images.shape[3:]), np.uint8)
         for image, large, k in zip(result, images, turns, strict=True):
             changed = self._changed(large, int(k), rng)
@@ -65,12 +81,38 @@ class Augmenter:
         return result, turns
 
     def turned(self, image: Image, k: int) -> Image:
-        """One image (SCALE * size) with its disk turned by k / symmetry of a circle."""
+        """One image (SCALE * size), its disk turned by k / symmetry of a circle; beyond a circle mirrored, too."""
         if k == 0:
             return image
-        angle = 2.0 * np.pi * k / self.settings.symmetry
-        inverse = self._geometry.inverse_map(turn(angle), self.center, np.zeros(2))
+        linear = turn(2.0 * np.pi * k / self.settings.symmetry)
+        if k >= self.settings.symmetry:
+            linear = reflection(self.mirror) @ linear
+        inverse = self._geometry.inverse_map(linear, self.center, np.zeros(2))
         return np.where(self._disk, warped(image, inverse), image)
+
+    def axis(self, images: Image, labels: Array, directed: bool) -> SymmetryAxis:
+        """The axis that labels are turned about, as it is at first; where images are mirrored, that as well.
+
+        Parameters
+        ----------
+        images : uint8 (N, SCALE * size, SCALE * size)
+        labels, directed : (N, 6 or more), as of `SymmetryAxis`
+        """
+        settings = self.settings
+        given = settings.symmetry_axis, settings.symmetry, settings.symmetry_sense
+        turned = SymmetryAxis(*given, directed=directed)
+        if not settings.mirror:
+            return turned
+        images, order = images[:_MIRRORED], settings.symmetry
+        repeated = torch.from_numpy(np.tile(labels[:_MIRRORED], (order, 1))).float()
+        copies, mirrored = (
+            np.concatenate([[self.turned(image, k) for image in images] for k in range(first, first + order)])
+            for first in (0, order)
+        )
+        turns = torch.arange(order).repeat_interleave(len(images))
+        with torch.no_grad():
+            known = turned(repeated, turns).numpy()
+        return SymmetryAxis(*given, mirror_of_labels(copies, mirrored, known, directed), directed)
 
     def _changed(self, image: Image, k: int, rng: np.random.Generator) -> Image:
         settings = self.settings
@@ -96,7 +138,7 @@ class Augmenter:
         if settings.symmetry == 1:
             return self._geometry.to_crop(np.full(2, (self._geometry.side - 1) / 2.0)), float("nan")
         center, correlation = find_center(
-            images, depth, self._geometry, settings.symmetry, settings.symmetry_radius - 9.0
+            pattern_at_rest(images, depth), self._geometry, settings.symmetry, self._inner_radius
         )
         if correlation < MIN_CORRELATION:
             raise AugmentationError(
@@ -105,6 +147,23 @@ class Augmenter:
                 "set symmetry = 1, or symmetry_center and symmetry_radius to the markers' disk"
             )
         return center, correlation
+
+    def _find_mirror(self, images: Image, depth: Array) -> float:
+        """Direction of the mirror's line in the image."""
+        pattern, order = pattern_at_rest(images, depth), self.settings.symmetry
+        direction, correlation = find_mirror(pattern, self._geometry, self.center, order, self._inner_radius)
+        if correlation < MIN_CORRELATION:
+            raise AugmentationError(
+                "augmentation.mirror = true: the markers do not look the same in any mirror (best correlation "
+                f"{correlation:.2f} at {np.degrees(direction):.0f} deg, needs {MIN_CORRELATION}); set "
+                "mirror = false, or symmetry_center and symmetry_radius to the markers' disk"
+            )
+        return direction
+
+    @property
+    def _inner_radius(self) -> float:
+        """Of what is compared, without the rim of the markers' disk."""
+        return _INNER * self.settings.symmetry_radius
 
 
 def without_markers(image: Image, probability: float, rng: np.random.Generator) -> Image:

@@ -270,18 +270,7 @@ def check_samples(data: RunData, config: TrainConfig) -> None:
 
     `SettingError` for an augmentation that would have to know more than is labelled.
     """
-    model = data.model
-    if config.augmentation.symmetry > 1 and not (model.tangent and set(model.forces) <= set(model.labelled)):
-        why = f"{', '.join(model.unknown)} not labelled" if model.unknown else f"this is '{model.name}'"
-        raise SettingError(
-            f"augmentation.symmetry = {config.augmentation.symmetry}: turning a contact on a surface needs "
-            f"all components of its label ({why}); give --set augmentation.symmetry=1"
-        )
-    if data.preprocessing.color and config.augmentation.symmetry > 1:
-        raise SettingError(
-            f"augmentation.symmetry = {config.augmentation.symmetry}: an image in color, lit from several "
-            "sides, does not look the same after a turn; give --set augmentation.symmetry=1"
-        )
+    _check_symmetry(data, config)
     if len(data.training) < _FEWEST_SAMPLES:
         raise DatasetError(f"training data: {len(data.training)} samples, needs at least {_FEWEST_SAMPLES}")
     held_out, needed = len(data.held_out), config.calibration.min_samples
@@ -290,6 +279,30 @@ def check_samples(data: RunData, config: TrainConfig) -> None:
             f"training.holdback = {config.training.holdback:g} leaves {held_out} samples to calibrate on: "
             f"needs at least {needed} (calibration.min_samples); hold back more, or nothing, or "
             "train by few_contacts.yaml"
+        )
+
+
+def _check_symmetry(data: RunData, config: TrainConfig) -> None:
+    """`SettingError` where images are not the same after a turn, or labels not known."""
+    given, model = config.augmentation, data.model
+    if given.copies == 1:
+        return
+    asked = f"augmentation.symmetry = {given.symmetry}" + ", mirror = true" * given.mirror
+    without = "give --set augmentation.symmetry=1" + " --set augmentation.mirror=false" * given.mirror
+    if not ((model.tangent or model.directed) and set(model.forces) <= set(model.labelled)):
+        why = f"{', '.join(model.unknown)} not labelled" if model.unknown else f"this is '{model.name}'"
+        raise SettingError(
+            f"{asked}: turning a contact on a surface needs all components of its label ({why}); {without}"
+        )
+    if data.preprocessing.color:
+        raise SettingError(
+            f"{asked}: an image in color, lit from several sides, does not look the same after a turn; "
+            f"{without}"
+        )
+    if given.mirror and config.network.field_order:
+        raise SettingError(
+            f"{asked}: markers that are laid back (network.field_order) are turned, never mirrored; give "
+            "--set augmentation.mirror=false"
         )
 
 

@@ -222,6 +222,9 @@ class AugmentationSettings(Settings):
     symmetry: int = setting(
         1, lower=1, upper=360, doc="turn by a random multiple of 1/n of a circle; the TacTip's markers: 6"
     )
+    mirror: bool = setting(
+        False, doc="mirror every other image as well: markers in rings are the same in a mirror"
+    )
     symmetry_center: tuple[float, ...] = setting(
         (), unit="px", lower=0.0, upper=8192.0,
         doc="x, y of the markers' center in the crop; []: found in the images",
@@ -269,10 +272,15 @@ class AugmentationSettings(Settings):
             raise SettingError(f"symmetry_center = {self.symmetry_center}: must be [] or [x, y]")
 
     @property
+    def copies(self) -> int:
+        """Of an image by its symmetry, with itself: turned, and those mirrored."""
+        return self.symmetry * (1 + self.mirror)
+
+    @property
     def active(self) -> bool:
         """Whether any image is changed."""
         chances = (self.shift, self.turn, self.marker_dropout, self.growth, self.gain)
-        return self.symmetry > 1 or any(chance > 0.0 for chance in chances)
+        return self.copies > 1 or any(chance > 0.0 for chance in chances)
 
 
 def learning_rate(epoch: float, settings: TrainingSettings) -> float:

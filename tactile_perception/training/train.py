@@ -392,12 +392,13 @@ class _Run:
         settings, data = self.config.augmentation, self.data
         if data.large is None:
             return None
-        if settings.symmetry > 1:
-            self.axis = SymmetryAxis(settings.symmetry_axis, settings.symmetry, settings.symmetry_sense)
-            self.axis.to(self.device)
-        depth = data.model.depths(data.training.labels)
+        depth, labels = data.model.depths(data.training.labels), data.training.labels
         dark = MID_GRAY if data.preprocessing.difference else 0.0
-        return Augmenter(data.large, depth, data.preprocessing.crop_shape, settings, dark)
+        augmenter = Augmenter(data.large, depth, data.preprocessing.crop_shape, settings, dark)
+        if settings.copies > 1:
+            self.axis = augmenter.axis(data.large, labels, data.model.directed)
+            self.axis.to(self.device)
+        return augmenter
 
     def _input(self, images: Tensor) -> Tensor:
         """uint8 (N, size, size) or (N, size, size, 3) -> float (N, channels, size, size) in [0, 1]."""

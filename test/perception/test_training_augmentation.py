@@ -9,25 +9,37 @@ from tangent import hat, vee
 torch = pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
 
 from tactile_base.settings import SettingError  # noqa: E402
+from tactile_geometry import se3  # noqa: E402
 from tactile_perception.training.augmentation import (  # noqa: E402
     AugmentationError,
     Augmenter,
     without_markers,
 )
 from tactile_perception.training.settings import AugmentationSettings  # noqa: E402
-from tactile_perception.training.symmetry import CropGeometry, SymmetryAxis, find_center  # noqa: E402
+from tactile_perception.training.symmetry import (  # noqa: E402
+    CropGeometry,
+    SymmetryAxis,
+    find_center,
+    find_mirror,
+    pattern_at_rest,
+)
 
 SHAPE, SIDE = (440, 445), 256
 CENTER = np.array([226.3, 219.8])
 GEOMETRY = CropGeometry(SHAPE, SIDE)
 
 
-def rings(center: np.ndarray = CENTER, push: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
-    """The TacTip's markers on the crop, those within 60 px of the center moved by `push`."""
+def rings(
+    center: np.ndarray = CENTER, push: tuple[float, float] = (0.0, 0.0), twist: float = 0.15, by: float = 0.0
+) -> np.ndarray:
+    """The TacTip's markers on the crop, those within 60 px of the center moved by `push`.
+
+    Each ring is turned by `twist` against the next, and all of them by `by`.
+    """
     crop = np.zeros(SHAPE, np.uint8)
     for ring in range(1, 11):
         for k in range(6 * ring):
-            angle = 2 * np.pi * k / (6 * ring) + 0.15 * ring
+            angle = 2 * np.pi * k / (6 * ring) + twist * ring + by
             point = 20.0 * ring * np.array([np.cos(angle), np.sin(angle)])
             point = point + center + (np.array(push) if ring < 4 else 0.0)
             cv2.circle(crop, tuple(np.round(16 * point).astype(int)), 16 * 5, 255, -1, cv2.LINE_AA, 4)
@@ -45,7 +57,8 @@ def augmenter(images: np.ndarray, **settings) -> Augmenter:
 
 def test_center_of_the_markers_is_found_in_the_images():
     images = np.stack([square(rings())] * 4)
-    center, correlation = find_center(images, np.arange(4.0), GEOMETRY, order=6, radius=200.0)
+    pattern = pattern_at_rest(images, np.arange(4.0))
+    center, correlation = find_center(pattern, GEOMETRY, order=6, radius=200.0)
     np.testing.assert_allclose(center, CENTER, atol=0.5)
     assert correlation > 0.95
 
@@ -94,6 +107,85 @@ def test_labels_turn_as_poses_conjugated_by_a_turn_about_the_axis(sense):
         move = place @ about_z @ np.linalg.inv(place)
         expected = vee(logm(move @ expm(hat(label)) @ np.linalg.inv(move)).real)
         np.testing.assert_allclose(found, expected, atol=2e-5)
+
+
+def reflected(direction: float) -> np.ndarray:
+    """(4, 4) mirror at the plane through z and this direction, by its normal (Householder)."""
+    normal = np.array([-np.sin(direction), np.cos(direction), 0.0])
+    mirror = np.eye(4)
+    mirror[:3, :3] -= 2.0 * np.outer(normal, normal)
+    return mirror
+
+
+def test_mirrored_labels_are_poses_conjugated_by_a_reflection():
+    start, direction = (1.5, -2.0, 0.02, -0.03), 0.4
+    axis = SymmetryAxis(start, order=6, sense=1, mirror=direction)
+    rng = np.random.default_rng(0)
+    labels = rng.normal(size=(6, 9)) * [2, 2, 1, 0.2, 0.2, 0.05, 3, 3, 9]
+    turns = 6 + np.arange(6)
+    with torch.no_grad():
+        answer = axis(torch.tensor(labels, dtype=torch.float32), torch.from_numpy(turns)).numpy()
+    place = expm(hat(np.array([*start[:2], 0, 0, 0, 0]))) @ expm(hat(np.array([0, 0, 0, *start[2:], 0])))
+    for label, turn, found in zip(labels, turns, answer, strict=True):
+        about_z = expm(hat(np.array([0, 0, 0, 0, 0, (turn - 6) * np.pi / 3])))
+        move = place @ reflected(direction) @ about_z @ np.linalg.inv(place)
+        expected = vee(logm(move @ expm(hat(label[:6])) @ np.linalg.inv(move)).real)
+        np.testing.assert_allclose(found[:6], expected, atol=2e-5)
+        np.testing.assert_allclose(found[6:], move[:3, :3] @ label[6:], atol=1e-5)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_the_frame_of_an_edge_goes_along_with_the_turn(mirrored):
+    """X_sf' = S X_sf, and a mirrored frame is right-handed by an x-axis the other way."""
+    start, direction = (1.5, -2.0, 0.02, -0.03), 0.4
+    axis = SymmetryAxis(start, 6, 1, direction, directed=True)
+    rng = np.random.default_rng(0)
+    labels = rng.normal(size=(6, 6)) * [2, 2, 1, 0.2, 0.2, 1.5]
+    turns = np.arange(6) + 6 * mirrored
+    with torch.no_grad():
+        answer = axis(torch.tensor(labels, dtype=torch.float32), torch.from_numpy(turns)).numpy()
+    place = expm(hat(np.array([*start[:2], 0, 0, 0, 0]))) @ expm(hat(np.array([0, 0, 0, *start[2:], 0])))
+    mirror, frame = (reflected(direction), np.diag([-1.0, 1, 1, 1])) if mirrored else (np.eye(4),) * 2
+    for label, turn, found in zip(labels, turns, answer, strict=True):
+        about_z = expm(hat(np.array([0, 0, 0, 0, 0, (turn % 6) * np.pi / 3])))
+        move = place @ mirror @ about_z @ np.linalg.inv(place)
+        expected = frame @ se3.pose_from_euler(label) @ np.linalg.inv(move)
+        np.testing.assert_allclose(se3.pose_from_euler(found.astype(float)), expected, atol=2e-5)
+
+
+def test_what_an_edge_lacks_labels_of_stays_unknown():
+    axis = SymmetryAxis((0.0,) * 4, 6, 1, directed=True)
+    unknown = float("nan")
+    label = torch.tensor([[unknown, 1.0, 2.0, unknown, unknown, 0.5]])
+    moved = axis(label, torch.tensor([1])).detach().numpy()[0]
+    np.testing.assert_allclose(moved, [np.nan, 1.0, 2.0, np.nan, np.nan, 0.5 - np.pi / 3], atol=1e-6)
+
+
+def test_a_mirror_is_found_in_rings_that_have_one():
+    """Straight rings are the same in a mirror at their own direction, twisted ones in none."""
+    depth, turned_by = np.arange(2.0), 0.2
+    pattern = pattern_at_rest(np.stack([square(rings(twist=0.0, by=turned_by))] * 2), depth)
+    direction, correlation = find_mirror(pattern, GEOMETRY, CENTER, 6, 200.0)
+    assert correlation > 0.95
+    np.testing.assert_allclose((direction - turned_by + np.pi / 12) % (np.pi / 6), np.pi / 12, atol=0.01)
+    twisted = np.stack([square(rings())] * 2)
+    with pytest.raises(AugmentationError, match="the same in any mirror"):
+        augmenter(twisted, symmetry_center=CENTER.tolist(), mirror=True)
+
+
+def test_images_tell_in_which_direction_they_are_mirrored():
+    """A camera that stands turned by 0.5 rad sees shear in its own direction."""
+    rng, camera = np.random.default_rng(1), 0.5
+    shear = rng.uniform(-4.0, 4.0, (60, 2))
+    c, s = np.cos(camera), np.sin(camera)
+    seen = 2.0 * shear @ np.array([[c, s], [-s, c]]).T  # by a camera whose x lies at 0.5 in {s}
+    images = np.stack([square(rings(push=tuple(each), twist=0.0)) for each in seen])
+    labels = np.zeros((60, 6))
+    labels[:, :2] = shear
+    labels[:, 2:] = 1e-3 * rng.normal(size=(60, 4))
+    given = augmenter(images, symmetry_center=CENTER.tolist(), mirror=True)
+    direction = given.axis(images, labels, directed=False).parameters_of_axis()[4]
+    np.testing.assert_allclose((direction - camera - given.mirror + 1.0) % np.pi, 1.0, atol=0.05)
 
 
 def test_labels_of_images_that_did_not_turn_stay_the_same_bits():
