@@ -81,7 +81,7 @@ class Augmenter:
         return result, turns
 
     def turned(self, image: Image, k: int) -> Image:
-        """One image (SCALE * size), its disk turned by k / symmetry of a circle; beyond a circle mirrored, too."""
+        """One image (SCALE * size), its disk turned by k / symmetry of a circle; beyond 1 mirrored, too."""
         if k == 0:
             return image
         linear = turn(2.0 * np.pi * k / self.settings.symmetry)
@@ -154,9 +154,10 @@ class Augmenter:
         direction, correlation = find_mirror(pattern, self._geometry, self.center, order, self._inner_radius)
         if correlation < MIN_CORRELATION:
             raise AugmentationError(
-                "augmentation.mirror = true: the markers do not look the same in any mirror (best correlation "
-                f"{correlation:.2f} at {np.degrees(direction):.0f} deg, needs {MIN_CORRELATION}); set "
-                "mirror = false, or symmetry_center and symmetry_radius to the markers' disk"
+                "augmentation.mirror = true: the markers do not look the same in any mirror (best "
+                f"correlation {correlation:.2f} at {np.degrees(direction):.0f} deg, needs "
+                f"{MIN_CORRELATION}); set mirror = false, or symmetry_center and symmetry_radius to the "
+                "markers' disk"
             )
         return direction
 
