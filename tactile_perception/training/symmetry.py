@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 _BLUR = 1.0
 #: Part of the samples, the shallowest ones, whose mean shows the markers nearly at rest.
 _SHALLOW = 0.03
+#: Percentile of the levels above which all is one: a lamp's glare is none of the pattern.
+_BRIGHT = 95.0
 #: Directions that are tried for a mirror.
 _DIRECTIONS = 60
 #: Side, in pixels, at which images tell the direction of a mirror, and how firmly their map is held at 0.
@@ -278,10 +280,11 @@ def _directions(labels: Array, directed: bool) -> Array:
 
 
 def pattern_at_rest(images: Image, depth: Array) -> NDArray[np.float32]:
-    """Mean (side, side) over the shallowest images (N, side, side), blurred."""
+    """Mean (side, side) of the shallowest images (N, side, side), blurred; lamps are as bright as markers."""
     count = max(1, round(_SHALLOW * len(images)))
     chosen = np.argsort(depth, kind="stable")[:count]
-    mean = images[chosen].mean(axis=0).astype(np.float32)
+    mean = images[chosen].mean(axis=0)
+    mean = np.minimum(mean, np.percentile(mean, _BRIGHT)).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(mean, (0, 0), _BLUR), np.float32)
 
 
