@@ -39,13 +39,23 @@ from tactile_perception.evaluation.models import open_models
 
 Array = NDArray[np.float64]
 
+Parts = Mapping[str, tuple[tuple[int, ...], str]]
+
 #: What is promised by name: of which components of the Euler contact pose, and its unit.
-PARTS: Mapping[str, tuple[tuple[int, ...], str]] = {
+PARTS: Parts = {
     "depth": ((2,), "mm"),
     "tilt": ((3, 4), "deg"),
     "shear": ((0, 1), "mm"),
     "twist": ((5,), "deg"),
 }
+#: The same of contacts on an edge.
+EDGE_PARTS: Parts = {
+    "depth": ((2,), "mm"),
+    "offset": ((1,), "mm"),
+    "direction": ((5,), "deg"),
+    "tilt": ((3, 4), "deg"),
+}
+UNITS = {name: unit for parts in (PARTS, EDGE_PARTS) for name, (_, unit) in parts.items()}
 HELD_BACK = 5  # one of so many
 COVERED = LEVELS.index(0.95)
 CONTACTS, JUDGING, ROUNDS = "contacts", "held_back", "rounds"
@@ -58,7 +68,7 @@ class LearningError(ValueError):
 
 @dataclass(frozen=True)
 class Promise:
-    """Mean absolute errors that are not to be exceeded, by the names of `PARTS`, in their units.
+    """Mean absolute errors that are not to be exceeded, by the names of parts, in their units.
 
     Kept where the upper end of the 95 % band of each stays below: with few contacts held back it is wide.
     """
@@ -66,15 +76,15 @@ class Promise:
     errors: Mapping[str, float]
 
     @classmethod
-    def parse(cls, texts: Sequence[str]) -> Promise:
+    def parse(cls, texts: Sequence[str], parts: Parts = PARTS) -> Promise:
         """Of texts as depth=0.3; `SettingError` says what is wrong."""
         errors = {}
         for text in texts:
             name, value = name_and_value(text, "depth=0.3")
-            if name not in PARTS:
-                raise SettingError(f"--promise {text}: {unknown_name(name, list(PARTS))}")
+            if name not in parts:
+                raise SettingError(f"--promise {text}: {unknown_name(name, list(parts))}")
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < math.inf:
-                raise SettingError(f"--promise {text}: must be a number above 0, in {PARTS[name][1]}")
+                raise SettingError(f"--promise {text}: must be a number above 0, in {UNITS[name]}")
             errors[name] = float(value)
         return cls(errors)
 
@@ -84,7 +94,7 @@ class Promise:
         return all(name in found and found[name][2] <= most for name, most in self.errors.items())
 
     def __str__(self) -> str:
-        return ", ".join(f"{name} {most:g} {PARTS[name][1]}" for name, most in self.errors.items())
+        return ", ".join(f"{name} {most:g} {UNITS[name]}" for name, most in self.errors.items())
 
 
 @dataclass(frozen=True)
@@ -94,7 +104,7 @@ class Judged:
     Attributes
     ----------
     contacts, held_back : how many there were in all, and how many of them judged
-    errors : name of `PARTS` -> mean absolute error and the ends of its 95 % bootstrap band, mm or deg
+    errors : name of a part -> mean absolute error and the ends of its 95 % bootstrap band, mm or deg
     coverage : the part of errors within the model's 95 % interval (0..1); None: it tells no uncertainty
     foreign : the part of the images held back that are foreign to it (0..1); None: it cannot tell
     """
@@ -108,7 +118,7 @@ class Judged:
     def line(self) -> str:
         """In words."""
         found = (
-            f"{name} {value:.2g} {PARTS[name][1]} ({low:.2g} to {high:.2g})"
+            f"{name} {value:.2g} {UNITS[name]} ({low:.2g} to {high:.2g})"
             for name, (value, low, high) in self.errors.items()
         )
         covered = "" if self.coverage is None else f"; {self.coverage:.0%} within the 95 % interval"
@@ -300,7 +310,7 @@ def judged(run: Path, folder: Path, contacts: int) -> Judged:
     error = np.abs(euler_error(data.euler_mm_deg, told.euler(np.nan_to_num(mean))))
     picks = np.random.default_rng(0).integers(len(data), size=(_RESAMPLES, len(data)))
     errors = {}
-    for name, (columns, _) in PARTS.items():
+    for name, (columns, _) in (EDGE_PARTS if told.directed else PARTS).items():
         if set(columns) <= set(data.compared):
             each = error[:, list(columns)].mean(axis=1)
             low, high = np.percentile(each[picks].mean(axis=1), (2.5, 97.5))

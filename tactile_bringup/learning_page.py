@@ -7,13 +7,17 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from tactile_base import html_page as html
 from tactile_base.origin import origin
-from tactile_bringup.learning import JUDGING, PARTS, Judged, Promise, evaluated, with_more
+from tactile_bringup.learning import JUDGING, UNITS, Judged, Promise, evaluated, with_more
+from tactile_perception.estimating.contact_model import ContactModel
 from tactile_perception.estimating.plots import draw_predicted_against_actual, log_axis, plot_grid
 from tactile_perception.evaluation.evaluate import EvaluationData, ModelResult
 from tactile_records.runs.page import origin_table
+
+Array = NDArray[np.float64]
 
 EXAMPLES = 8
 DPI = 110
@@ -51,8 +55,8 @@ def write(folder: Path, found: Sequence[Judged], best: Judged, run: Path, promis
 
 def _table(found: Sequence[Judged], promise: Promise) -> html.Html:
     """A row a round."""
-    names = [name for name in PARTS if name in found[-1].errors]
-    heads = [f"{name} ({PARTS[name][1]})" for name in names]
+    names = list(found[-1].errors)
+    heads = [f"{name} ({UNITS[name]})" for name in names]
     rows = []
     for judged in found:
         cells = ["{:.3g} ({:.3g} to {:.3g})".format(*judged.errors[name]) for name in names]
@@ -70,7 +74,7 @@ def _more(found: Sequence[Judged]) -> str:
     expected = {name: with_more(found, name, twice) for name in found[-1].errors}
     if not all(np.isfinite(value) for value in expected.values()):
         return "What more contacts would give is told from the second round on."
-    words = (f"{name} {value:.2g} {PARTS[name][1]}" for name, value in expected.items())
+    words = (f"{name} {value:.2g} {UNITS[name]}" for name, value in expected.items())
     return f"If errors go on falling as from round to round, {twice} contacts would give {', '.join(words)}."
 
 
@@ -85,7 +89,7 @@ def _facts(model: Path, best: Judged) -> list[tuple[str, str]]:
 
 
 def _draw_errors(path: Path, found: Sequence[Judged], promise: Promise) -> None:
-    names = [name for name in PARTS if name in found[-1].errors]
+    names = list(found[-1].errors)
     figure, grid = plot_grid(1, len(names), 2.8)
     contacts = [judged.contacts for judged in found]
     for name, axes in zip(names, grid[0], strict=True):
@@ -93,10 +97,10 @@ def _draw_errors(path: Path, found: Sequence[Judged], promise: Promise) -> None:
         axes.errorbar(contacts, value, [value - low, high - value], fmt="o-", capsize=3, markersize=4)
         if name in promise.errors:
             axes.axhline(promise.errors[name], color="tab:green", linestyle="--", linewidth=1)
-            axes.set_title(f"{name}; promised {promise.errors[name]:g} {PARTS[name][1]}", fontsize=10)
+            axes.set_title(f"{name}; promised {promise.errors[name]:g} {UNITS[name]}", fontsize=10)
         else:
             axes.set_title(name, fontsize=10)
-        axes.set(xlabel="contacts", ylabel=f"mean absolute error ({PARTS[name][1]})")
+        axes.set(xlabel="contacts", ylabel=f"mean absolute error ({UNITS[name]})")
         for which in "xy":
             log_axis(axes, which)
     figure.savefig(path, dpi=DPI)
@@ -109,7 +113,7 @@ def _draw_examples(path: Path, data: EvaluationData, result: ModelResult) -> Non
     (images,) = data.images.values()
     mean = np.zeros((len(data), data.model.size))
     mean[:, list(data.compared)] = result.best.predictions.mean
-    said = data.model.euler(mean)
+    said, told = data.model.euler(mean), data.model
     figure = Figure(figsize=(2.2 * 4, 2.75 * -(-len(chosen) // 4)), layout="constrained")
     grid = figure.subplots(-(-len(chosen) // 4), 4, squeeze=False).ravel()
     for axes in grid:
@@ -117,10 +121,12 @@ def _draw_examples(path: Path, data: EvaluationData, result: ModelResult) -> Non
     for axes, row in zip(grid, chosen, strict=False):
         image = images[row]
         axes.imshow(image if image.ndim == 2 else image[:, :, ::-1], cmap="gray", vmin=0, vmax=255)
-        label, answer = data.euler_mm_deg[row], said[row]
-        axes.set_title(
-            f"{label[2]:.1f} mm, {label[3]:.0f}, {label[4]:.0f} deg\nsays "
-            f"{answer[2]:.1f} mm, {answer[3]:.0f}, {answer[4]:.0f} deg",
-            fontsize=8,
-        )
+        axes.set_title(f"{_words(data.euler_mm_deg[row], told)}\nsays {_words(said[row], told)}", fontsize=8)
     figure.savefig(path, dpi=DPI)
+
+
+def _words(euler: Array, model: ContactModel) -> str:
+    """What matters most of a contact (6,), mm and deg: depth and tilt, or depth, offset and direction."""
+    if model.directed:
+        return "{2:.1f} mm, {1:.1f} mm, {5:.0f} deg".format(*euler)
+    return "{2:.1f} mm, {3:.0f}, {4:.0f} deg".format(*euler)

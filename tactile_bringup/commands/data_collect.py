@@ -1,4 +1,4 @@
-"""Press and shear an arm's tactile sensor against a flat surface, as the paper does.
+"""Press and shear an arm's tactile sensor against a flat surface, as the paper does, or against an edge.
 
 An image and a label of each contact are kept. The same command goes on after an interruption.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,7 +31,7 @@ from tactile_doubles.rehearsal import rehearsed
 from tactile_geometry import se3
 from tactile_perception.datasets.dataset import DatasetError, open_folder
 from tactile_perception.datasets.writer import IMAGE_KINDS, DatasetWriter
-from tactile_records.collecting.geometry import contact_frame
+from tactile_records.collecting.geometry import contact_frame, edge_frame
 from tactile_records.collecting.parameters import check_same_run
 from tactile_records.collecting.sample_store import found_surface
 from tactile_records.collecting.settings import TASK, CollectionGoal, DataCollectionSettings
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
 
 
 LOOK = 1.0  # s, between two looks whether there is enough
+FLAT, EDGED = "plane", "box"
+SHAPES = {FLAT: "flat surface", EDGED: "box with an edge"}
 
 
 def register(commands: Any) -> None:
@@ -56,6 +59,7 @@ def register(commands: Any) -> None:
     add("--validation", action="store_true", help="other poses than the training data of the same seed")
     add("--arm", metavar="NAME", help="which arm (default: the one with a camera)")
     add("--surface", metavar="NAME", help="which surface (default: the only plane)")
+    add_edge_option(parser)
     text = "find the surface first: 1 touch for its height, 3 and more for its tilt too (0)"
     add("--touch", type=natural_int, default=0, metavar="N", help=text)
     add("--images", default="both", help="keep processed images, raw ones, or both (both)")
@@ -67,6 +71,12 @@ def register(commands: Any) -> None:
     add_rehearse_option(parser)
     add("--headless", action="store_true", help="plain lines in place of the live display")
     add("--logs", type=Path, default=Path("out/runs"), metavar="FOLDER", help="for logs")
+
+
+def add_edge_option(parser: argparse.ArgumentParser) -> None:
+    """--edge, of whatever makes contacts."""
+    text = "press on an edge, that of a box (shape: box) nearest to the start, in place of a flat surface"
+    parser.add_argument("--edge", action="store_true", help=text)
 
 
 @dataclass(frozen=True)
@@ -152,8 +162,9 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     scene = rehearsed(scene) if arguments.rehearse else scene
     what = "an arm whose sensor gives images"
     arm = arm_of(scene, arguments.arm, lambda arm: scene.gives_images(arm.name), what)
-    surface = chosen_surface(scene, arm, arguments.surface)
-    settings = chosen_settings(arguments.config, arguments.changes, arguments.touch).replaced(
+    surface = chosen_surface(scene, arm, arguments.surface, EDGED if arguments.edge else FLAT)
+    first = defaults(arm, arguments.touch, arguments.edge)
+    settings = chosen_settings(first, arguments.config, arguments.changes).replaced(
         data__folder=str(arguments.out.absolute()),
         data__images=arguments.images,
         data__frame=tuple(se3.euler_from_pose(frame_on(scene, surface, arm)).tolist()),
@@ -164,7 +175,8 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     robot = arm.driver + " (double)" * arguments.rehearse
     same: dict[str, Any] = {"seed": goal.seed, "first": goal.first}
     same |= {"images": settings.data.images, "frame": settings.data.frame}
-    same |= {name: dataclasses.asdict(settings.group(name)) for name in ("sampling", "preprocessing")}
+    kept = ("sampling", "preprocessing", *["edge"] * arguments.edge)
+    same |= {name: dataclasses.asdict(settings.group(name)) for name in kept}
     check_same_run(arguments.out, {"robot": robot, "scene": scene.name, "arm": arm.name, **same})
     with DatasetWriter(arguments.out, settings.preprocessing, arguments.images) as writer:
         missing = len(set(range(1, arguments.samples + 1)) - writer.done)
@@ -174,35 +186,56 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     return Plan(graph, arguments.samples, missing)
 
 
-def chosen_surface(scene: Scene, arm: ArmScene, name: str | None) -> BodyScene:
-    """The surface of that name, or the only plane that the arm can touch; it has to be flat."""
-    surfaces = scene.bodies_of(arm.name)
-    planes = [surface for surface in surfaces.values() if surface.shape == "plane"]
+def chosen_surface(scene: Scene, arm: ArmScene, name: str | None, shape: str = FLAT) -> BodyScene:
+    """The surface of that name, or the only one of that shape that the arm can touch."""
+    surfaces, wanted = scene.bodies_of(arm.name), SHAPES[shape]
     if name is None:
-        if len(planes) != 1:
+        fitting = [surface for surface in surfaces.values() if surface.shape == shape]
+        if len(fitting) != 1:
             found = ", ".join(f"{item.name} ({item.shape})" for item in surfaces.values()) or "none"
             raise ValueError(
-                f"{scene.path}: data are collected on one flat surface (shape: plane); there are: {found}; "
+                f"{scene.path}: data are collected on one {wanted} (shape: {shape}); there are: {found}; "
                 "choose one with --surface"
             )
-        return planes[0]
+        return fitting[0]
     if name not in surfaces:
         raise ValueError(f"--surface: {unknown_name(name, list(surfaces))}")
-    if surfaces[name].shape != "plane":
-        raise ValueError(f"--surface {name}: is a {surfaces[name].shape}, must be flat (shape: plane)")
+    if surfaces[name].shape != shape:
+        raise ValueError(
+            f"--surface {name}: is a {surfaces[name].shape}, must be a {wanted} (shape: {shape})"
+        )
     return surfaces[name]
 
 
 def frame_on(scene: Scene, surface: BodyScene, arm: ArmScene) -> Any:
-    """T_base_f (4, 4): the contact frame on the surface, under where the arm starts."""
+    """T_base_f (4, 4): the contact frame on the surface, or the edge, under where the arm starts."""
     assert arm.sensor is not None
-    T_base_surface = scene.T_base_body(arm.name, surface.name)
-    return contact_frame(T_base_surface, arm.T_base_start, arm.sensor.settings.tip_radius)
+    T_base_surface, radius = scene.T_base_body(arm.name, surface.name), arm.sensor.settings.tip_radius
+    if surface.shape == EDGED:
+        size: Any = surface.parameters
+        return edge_frame(T_base_surface, size.size, arm.T_base_start, radius)
+    return contact_frame(T_base_surface, arm.T_base_start, radius)
 
 
-def chosen_settings(file: Path | None, changes: list[str], touches: int) -> DataCollectionSettings:
-    """The task's settings from their defaults, a file and the command line."""
+def defaults(arm: ArmScene, touches: int, edge: bool) -> DataCollectionSettings:
+    """What is done where nothing else is said: on an edge it is pressed deeper and less tilted."""
     settings = DataCollectionSettings().replaced(touch__points=touches)
+    if not edge:
+        return settings
+    assert arm.sensor is not None
+    return settings.replaced(
+        edge__pressed=True,
+        edge__tip_radius=arm.sensor.settings.tip_radius,
+        sampling__depth=(3e-3, 5.5e-3),
+        sampling__disk_radius=3e-3,
+        sampling__cap_angle=math.radians(10.0),
+    )
+
+
+def chosen_settings(
+    settings: DataCollectionSettings, file: Path | None, changes: list[str]
+) -> DataCollectionSettings:
+    """These, changed by a file and the command line."""
     names = [name for name in settings.group_names() if name != "data"]  # that has options of its own
     if file is not None:
         root = read_yaml(file)

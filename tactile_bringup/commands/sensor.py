@@ -32,7 +32,8 @@ EXIT_CODES = (
     "made; others as of `tactile launch`"
 )
 CONTACTS = (125, 250, 500, 1000, 2000)
-PROMISE = ("depth=0.3", "tilt=2")
+PROMISE, EDGE_PROMISE = ("depth=0.3", "tilt=2"), ("depth=0.3", "offset=0.5", "direction=5")
+EDGE_MODEL = "training.model=edge"
 CONFIG = "perception/few_contacts.yaml"
 SECONDS = 2.5  # of a contact
 
@@ -44,8 +45,12 @@ def register(subparsers: Any) -> None:
     add = parser.add_argument
     add("out", type=Path, help="folder for contacts, networks and the page; the same command goes on there")
     add("--scene", default="plane", metavar="NAME", help="scene, or a scene file (plane)")
-    text = "mean absolute errors to come below, of depth (mm), tilt (deg), shear (mm), twist (deg)"
-    add("--promise", nargs="+", default=PROMISE, metavar="NAME=VALUE", help=f"{text} ({' '.join(PROMISE)})")
+    text = (
+        "mean absolute errors to come below, of depth (mm), tilt (deg), shear (mm), twist (deg) "
+        f"({' '.join(PROMISE)}); on an edge of depth, tilt, offset (mm), direction (deg) "
+        f"({' '.join(EDGE_PROMISE)})"
+    )
+    add("--promise", nargs="+", metavar="NAME=VALUE", help=text)
     text = f"contacts in all after each round, a fifth held back ({' '.join(map(str, CONTACTS))})"
     add("--contacts", type=positive_int, nargs="+", default=CONTACTS, metavar="N", help=text)
     add("--config", type=Path, help="of the networks, as of `tactile train` (few_contacts.yaml)")
@@ -54,6 +59,7 @@ def register(subparsers: Any) -> None:
     add("--collection", type=Path, metavar="FILE", help="settings of the collection (docs/data.md)")
     add("--arm", metavar="NAME", help="which arm (default: the one with a camera)")
     add("--surface", metavar="NAME", help="which surface (default: the only plane)")
+    data_collect.add_edge_option(parser)
     text = "find the surface first: 1 touch for its height, 3 and more for its tilt too (3)"
     add("--touch", type=natural_int, default=3, metavar="N", help=text)
     add("--seed", type=natural_int, default=0, help="of the contacts (0)")
@@ -72,11 +78,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = lasting_console()
     words = _checked(arguments)
-    promise = learning.Promise.parse(arguments.promise)
+    parts, promised = (learning.EDGE_PARTS, EDGE_PROMISE) if arguments.edge else (learning.PARTS, PROMISE)
+    promise = learning.Promise.parse(arguments.promise or promised, parts)
     hours = arguments.contacts[0] * SECONDS / 3600.0, arguments.contacts[-1] * SECONDS / 3600.0
     say(
         console,
-        f"the arm presses and shears the sensor on a flat surface: {arguments.contacts[0]} to "
+        f"the arm presses and shears the sensor on {'an edge' if arguments.edge else 'a flat surface'}: "
+        f"{arguments.contacts[0]} to "
         f"{arguments.contacts[-1]} contacts, {hours[0]:.1f} to {hours[1]:.1f} hours in simulation, until "
         f"{promise}, for sure",
     )
@@ -126,7 +134,8 @@ def _checked(arguments: argparse.Namespace) -> list[str]:
         section = change.partition(".")[0]
         if section not in (*networks, *collection):
             raise SettingError(f"--set {change}: {unknown_name(section, [*networks, *collection])}")
-    changes = [each for each in arguments.changes if each.partition(".")[0] in networks]
+    changes = [EDGE_MODEL] * arguments.edge
+    changes += [each for each in arguments.changes if each.partition(".")[0] in networks]
     _check_rounds(list(arguments.contacts), TrainConfig.from_file(config).changed(changes))
     start = ["--start", str(arguments.start.absolute())] if arguments.start else []
     return ["--config", str(config), *start, *(word for each in changes for word in ("--set", each))]
@@ -156,7 +165,7 @@ def _collector(
     optional = {"arm": arguments.arm, "surface": arguments.surface, "config": arguments.collection,
                 "rate": arguments.rate}  # fmt: skip
     words += [word for name, value in optional.items() if value is not None for word in (f"--{name}", value)]
-    words += [f"--{name}" for name in ("rehearse", "headless") if getattr(arguments, name)]
+    words += [f"--{name}" for name in ("edge", "rehearse", "headless") if getattr(arguments, name)]
     for change in arguments.changes:
         words += ["--set", change] if change.partition(".")[0] not in networks else []
 

@@ -53,9 +53,11 @@ class SampleStore:
     def keep_surface(self, T_base_f: Array, assumed: Array, touches: int) -> None:
         """Keep where touches have found the surface, and that in words."""
         moved = se3.log(se3.inverse(assumed) @ T_base_f)
+        aside = 1e3 * float(np.linalg.norm(moved[:2]))
         text = (
-            f"surface found by {touches} touches: {1e3 * moved[2]:+.2f} mm deeper than assumed, "
-            f"tilted by {math.degrees(float(np.linalg.norm(moved[3:]))):.2f} deg"
+            f"surface found by {touches} touches: {1e3 * moved[2]:+.2f} mm deeper than assumed"
+            f"{f', {aside:.2f} mm aside' if aside > 0.005 else ''}"
+            f", turned by {math.degrees(float(np.linalg.norm(moved[3:]))):.2f} deg"
         )
         content = {"frame": se3.euler_from_pose(T_base_f).tolist(), "unit": "m, rad", "note": text}
         (self.folder / SURFACE_NAME).write_text(json.dumps(content, indent=2) + "\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,7 +24,7 @@ from tactile_control.watchdog import WatchdogSettings
 from tactile_perception.datasets.writer import IMAGE_KINDS
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.estimating.presence import PresenceSettings
-from tactile_scene.sampling import SamplingSettings
+from tactile_scene.sampling import SamplingSettings, check_ordered
 
 Array = NDArray[np.float64]
 
@@ -40,10 +41,14 @@ PHASES = (GO_TO_START, REFERENCE, TOUCH, ROTATE, CONTACT, SHEAR, CAPTURE, RETREA
 
 @dataclass(frozen=True)
 class Target:
-    """A sample to collect: its number in the data set, and its surface contact pose (6,), m and rad."""
+    """A sample to collect: its number in the data set, and its surface contact poses (6,), m and rad.
+
+    First it is pressed, then sheared.
+    """
 
     number: int
-    euler: Array
+    pressed: Array
+    sheared: Array
 
 
 @dataclass(frozen=True)
@@ -157,6 +162,37 @@ class TouchSettings(Settings):
 
 
 @dataclass(frozen=True)
+class EdgeSettings(Settings):
+    """Contacts on a straight edge in place of a flat surface."""
+
+    pressed: bool = setting(False, doc="on an edge: x of {f} is along it, y to the side where the plate is")
+    offset: tuple[float, ...] = setting(
+        (-5e-3, 6e-3), unit="m", lower=-0.02, upper=0.02, length=2,
+        doc="least and largest y of a contact before the shear; below 0 the tip's middle is beside the plate",
+    )  # fmt: skip
+    direction: float = setting(
+        math.radians(170.0), unit="rad", lower=0.0, upper=math.radians(175.0),
+        doc="largest gamma before the shear; less where the wrist cannot turn all round",
+    )  # fmt: skip
+    reach: float = setting(
+        0.01, unit="m", lower=1e-3, upper=0.1,
+        doc="touches that find the edge are so far beside the plate, and half as far; the others are on it",
+    )  # fmt: skip
+    tip_radius: float = setting(
+        0.02, unit="m", lower=1e-3, upper=0.5, doc="of the sensor, of which a touch beside the edge tells it"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ordered(self, "offset")
+        if self.reach > 0.8 * self.tip_radius:
+            raise SettingError(
+                f"reach = {self.reach:g} m: a tip of {self.tip_radius:g} m would meet the edge with its "
+                f"side; must be at most {0.8 * self.tip_radius:g}"
+            )
+
+
+@dataclass(frozen=True)
 class CollectionWatchdogSettings(WatchdogSettings):
     """Age limits; collection looks at the sensor's pose and at the image."""
 
@@ -180,12 +216,13 @@ class DataSettings(Settings):
 
 @dataclass(frozen=True)
 class DataCollectionSettings(SettingGroups):
-    """All that can be set of `DataCollection`; a run keeps the `data` to `presence` that it began with."""
+    """All that can be set of `DataCollection`; a run keeps the `data` to `edge` that it began with."""
 
     data: DataSettings = field(default_factory=DataSettings)
     sampling: SamplingSettings = field(default_factory=SamplingSettings)
     preprocessing: PreprocessingSettings = field(default_factory=PreprocessingSettings)
     presence: PresenceSettings = field(default_factory=PresenceSettings)
+    edge: EdgeSettings = field(default_factory=EdgeSettings)
     motion: CollectionMotionSettings = field(default_factory=CollectionMotionSettings)
     touch: TouchSettings = field(default_factory=TouchSettings)
     limiter: LimiterSettings = field(default_factory=LimiterSettings)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import NANOSECOND
-from tactile_control.motion import TravelSettings, pose_difference
+from tactile_control.motion import TravelSettings, Waypoint, pose_difference
 from tactile_control.phase_machine import PhaseMachine
 from tactile_control.phases import (
     DONE,
@@ -53,13 +53,13 @@ from tactile_records.collecting.settings import (
     DataCollectionSettings,
     Target,
 )
-from tactile_scene.sampling import pose_of
 
 Array = NDArray[np.float64]
 
 OVER, DOWN, UP = "over", "down", "up"  # steps of a touch
 NEEDS = ("pose", "image")
 _NEAR = 1e-3  # m; a touch need not begin and end more exactly than this
+_NEAR_ANGLE = 0.1  # rad; nor a turn go on
 
 
 class CollectionPhase(Phase["DataCollection"]):
@@ -159,8 +159,7 @@ class Touch(CollectionPhase, StraightTo["DataCollection"]):
 
     def begin(self) -> None:
         super().begin()
-        settings = self.task.settings.touch
-        self.places = geometry.places(settings.points, settings.radius)
+        self.places = geometry.places(self.task.settings.touch, self.task.settings.edge)
         self._go(OVER)
 
     def _go(self, step: str) -> None:
@@ -182,9 +181,7 @@ class Touch(CollectionPhase, StraightTo["DataCollection"]):
         if self.step == UP and depth <= -settings.search + _NEAR:
             self._go(OVER)
             if len(touches) == len(self.places):
-                found, assumed = np.array(touches), self.task.T_base_f
-                self.task.T_base_f = geometry.frame_from_touches(assumed, found, settings.depth)
-                self.keep(self.task.store.keep_surface, self.task.T_base_f, assumed, len(touches))
+                self._correct(np.array(touches))
                 return True
         elif self.step == DOWN and fresh and self.task.in_contact:
             touches.append(self.task.in_contact_frame(self.exposure.T_base_sensor)[:3, 3])
@@ -199,13 +196,36 @@ class Touch(CollectionPhase, StraightTo["DataCollection"]):
                     above = f"{settings.search * 1e3:.1f} mm above the surface"
                     raise PhaseFailed(f"the image shows contact {above}")
                 self._go(DOWN)
-        if self.elapsed > self.motion.motion_timeout * settings.points:
+        if self.elapsed > self.motion.motion_timeout * len(self.places):
             raise PhaseFailed(f"{len(touches) + 1} touches took too long")
         return False
+
+    def _correct(self, centers: Array) -> None:
+        """Move the contact frame to where touches have found the surface, and keep that."""
+        assumed, settings = self.task.T_base_f, self.task.settings
+        try:
+            self.task.T_base_f = geometry.frame_from_touches(assumed, centers, settings.touch, settings.edge)
+        except ValueError as error:
+            raise PhaseFailed(str(error)) from error
+        self.keep(self.task.store.keep_surface, self.task.T_base_f, assumed, len(centers))
 
 
 class Rotate(CollectionPhase, StraightTo["DataCollection"]):
     """Back over the point of first touch, turned to the contact angles, in the air."""
+
+    what = "the start of the contact"
+
+    def __init__(self, task: DataCollection) -> None:
+        super().__init__(task, ROTATE, CONTACT, pace=lambda: self.motion.in_air)
+
+    def way(self) -> list[Waypoint]:
+        """Turned over the contact, never by more than half a turn at once."""
+        gamma, clearance = se3.euler_from_pose(self.X_fs)[5], self.motion.clearance
+        turns = geometry.turns_to(self.task.target.pressed, gamma)
+        *between, last = [self.task.in_base(geometry.above(pressed, clearance)) for pressed in turns]
+        pace = self.pace()
+        ways = [Waypoint(T, _NEAR, _NEAR_ANGLE) for T in between]
+        return [*ways, Waypoint(last, pace.position_tolerance, pace.angle_tolerance)]
 
     def over(self) -> bool:
         """Out of contact, too, in an image exposed since it began."""
@@ -237,13 +257,14 @@ class TakeImage(Rest):
             return False
         exposure, target = self.exposure, self.task.target
         X_fs = self.task.in_contact_frame(exposure.T_base_sensor)
-        if X_fs[2, 3] >= self.motion.certain_depth and not self.task.in_contact:
+        depth = geometry.contact_depth(X_fs, self.task.settings.edge)
+        if depth >= self.motion.certain_depth and not self.task.in_contact:
             raise PhaseFailed(
-                f"the image shows no contact at a depth of {X_fs[2, 3] * 1e3:.1f} mm: the surface is "
+                f"the image shows no contact at a depth of {depth * 1e3:.1f} mm: the surface is "
                 "further away than it is said to be (find it by touch)"
             )
         label = se3.euler_from_pose(X_fs)
-        capture = Capture(target.number, exposure.stamp_ns, label, target.euler, exposure.T_base_sensor)
+        capture = Capture(target.number, exposure.stamp_ns, label, target.sheared, exposure.T_base_sensor)
         self.keep(self.task.store.keep, capture, exposure.image)
         self.task.collected += 1
         return True
@@ -287,7 +308,7 @@ class DataCollection(PhaseMachine):
     Attributes
     ----------
     T_base_f : ndarray (4, 4)
-        Contact frame of the flat surface (see `geometry`); touches correct it.
+        Contact frame on the flat surface or edge (see `geometry`); touches correct it.
     touches : list of ndarray (3,)
         Positions of the sensor's centre in {f} at which a touch has found the surface.
     surface_known : whether touches have found it before
@@ -328,10 +349,12 @@ class DataCollection(PhaseMachine):
         found = self.store.surface()
         self.surface_known = found is not None
         self.T_base_f = self.T_base_f if found is None else found
-        self.targets = [
-            Target(number, pose_of(settings.sampling, goal.seed, goal.first + number - 1))
-            for number in self.store.missing(goal.samples)
-        ]
+
+        def planned(number: int) -> tuple[Array, Array]:
+            index = goal.first + number - 1
+            return geometry.planned(settings.sampling, settings.edge, goal.seed, index)
+
+        self.targets = [Target(number, *planned(number)) for number in self.store.missing(goal.samples)]
         self.collected = 0
         self.touches: list[Array] = []
         self.image: StampedImage | None = None
@@ -349,15 +372,13 @@ class DataCollection(PhaseMachine):
             return {"goal": goal, "pace": travel, "what": what}
 
         start = to(lambda: geometry.at(0.0, 0.0, -self.settings.motion.standoff), "in_air")
-        turned = to(lambda: geometry.above(self.target.euler, self.settings.motion.clearance), "in_air",
-                    "the start of the contact")  # fmt: skip
-        pressed = to(lambda: geometry.pressed(self.target.euler), "in_contact", "the depth")
-        sheared = to(lambda: se3.pose_from_euler(self.target.euler), "in_contact", "the shear")
+        pressed = to(lambda: se3.pose_from_euler(self.target.pressed), "in_contact", "the depth")
+        sheared = to(lambda: se3.pose_from_euler(self.target.sheared), "in_contact", "the shear")
         return (
             GoToPose(self, GO_TO_START, REFERENCE, NEEDS, **start),
             Reference(self),
             Touch(self),
-            Rotate(self, ROTATE, CONTACT, NEEDS, **turned),
+            Rotate(self),
             StraightTo(self, CONTACT, SHEAR, NEEDS, **pressed),
             StraightTo(self, SHEAR, CAPTURE, NEEDS, **sheared),
             TakeImage(self),

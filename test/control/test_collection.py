@@ -26,7 +26,7 @@ POSES = [
     np.array([-0.004, 0.001, 0.0006, -0.35, 0.1, -0.05]),
     np.array([0.0, 0.0, 0.006, 0.0, 0.0, 0.0]),
 ]
-TARGETS = [Target(number, pose) for number, pose in enumerate(POSES, start=1)]
+TARGETS = [Target(number, pose * [0, 0, 1, 1, 1, 0], pose) for number, pose in enumerate(POSES, start=1)]
 QUICK = DataCollectionSettings(motion=CollectionMotionSettings(settle_time=0.05))
 FIRST_VISIBLE = 2e-4  # m of depth
 

@@ -16,6 +16,7 @@ from tactile_base.settings import SettingError
 from tactile_bringup.commands.data_collect import chosen_settings, chosen_surface, frame_on
 from tactile_bringup.launching.environment import free_domain_id
 from tactile_perception.datasets.dataset import read_dataset
+from tactile_records.collecting.settings import DataCollectionSettings
 from tactile_scene.sampling import SamplingSettings, pose_of
 from tactile_scene.scene_file import load_scene
 
@@ -133,9 +134,10 @@ def test_the_contact_frame_of_a_scene_lies_under_the_start_a_radius_off_the_tabl
 def test_settings_come_from_a_file_and_from_the_command_line_on_top(tmp_path):
     file = tmp_path / "collect.yaml"
     file.write_text("motion: {gain: 5.0, clearance: 0.004}\ntouch: {speed: 1e-3}\n")
-    settings = chosen_settings(file, ["motion.gain=6.0"], touches=3)
+    first = DataCollectionSettings().replaced(touch__points=3)
+    settings = chosen_settings(first, file, ["motion.gain=6.0"])
     assert settings.motion.gain == 6.0 and settings.motion.clearance == 0.004
     assert settings.touch.points == 3 and settings.touch.speed == 1e-3
     file.write_text("motion: {gian: 5.0}\n")
     with pytest.raises(SettingError, match=r"collect\.yaml:1: motion: .*did you mean 'gain'"):
-        chosen_settings(file, [], touches=0)
+        chosen_settings(first, file, [])
