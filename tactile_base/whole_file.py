@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import fcntl
 import itertools
 import os
 import shutil
@@ -10,7 +11,9 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+
+LOCK_NAME = ".writing"
 
 
 @contextmanager
@@ -48,6 +51,20 @@ def check_folder(path: Path) -> None:
         raise NotADirectoryError(f"{path}: cannot be a folder, since {existing} is a file")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise PermissionError(f"{path}: no permission to write in {existing}")
+
+
+def only_writer(folder: Path) -> IO[str]:
+    """A lock on a folder, which is there, until it is closed or this process ends, whatever ends it.
+
+    Raises `BlockingIOError` where another process has it.
+    """
+    file = (folder / LOCK_NAME).open("w")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        raise BlockingIOError(f"{folder}: another process is writing to this folder") from error
+    return file
 
 
 def room_for_results(folder: Path, *results: str, source: Path | None = None) -> None:

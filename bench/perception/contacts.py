@@ -35,6 +35,7 @@ from shared import Table, needs, parser
 
 from tactile_base.config_paths import config_path
 from tactile_base.jobs import JobRows, Workers, run_jobs
+from tactile_base.whole_file import only_writer
 from tactile_bringup.learning import PARTS
 from tactile_perception.datasets.dataset import TactileDataset, read_dataset, training_part
 from tactile_perception.estimating.contact_model import CONTACT_MODELS, FORCES, POSE, ContactModel
@@ -209,6 +210,8 @@ def job_of(
 
     config = TrainConfig.from_file(given.config)
     name, _, run = start.partition("=")
+    if not run and name not in (RANDOM, PLAIN):
+        raise SystemExit(f"--start {start}: must be {RANDOM}, {PLAIN} or NAME=RUN")
     run, _, frozen = run.partition(":")
     if run:
         config = config.replaced(
@@ -290,11 +293,13 @@ def main() -> None:
         for start in given.start
         if size or not (start in (RANDOM, PLAIN) or given.unlabelled)  # of what there is nothing yet
     ]
+    lock = only_writer(given.out)  # runs of the same names would write to the same folders
     rows = JobRows(given.out / "rows.jsonl")
     for done in run_jobs(trained, rows.missing(jobs), Workers(given.jobs, given.scheduler), print):
         print(done.job.name, done.error or "", flush=True)
         if done.value is not None:
             rows.add(done.value)
+    lock.close()
     found = rows.of(jobs)
     table = Table(
         ("data", "start", "contacts", "seed", "errors (mm, deg, N)", "of a guess", "within 95 %"), "one run"

@@ -17,7 +17,7 @@ from tactile_base.array_math import array_math
 from tactile_base.console import number_table, say, wide_console
 from tactile_base.jobs import JobRows, Row, Workers, run_jobs
 from tactile_base.progress import Progress
-from tactile_base.whole_file import check_folder, whole_file
+from tactile_base.whole_file import check_folder, only_writer, whole_file
 from tactile_bringup.commands.changes import (
     add_command,
     add_group,
@@ -245,7 +245,7 @@ def _run_missing(
     check_same_run(folder, {"experiment": arguments.what, **dataclasses.asdict(common)})
     rows = JobRows(folder / "trials.jsonl")
     missing = rows.missing(trials)
-    with Progress() as progress:
+    with only_writer(folder), Progress() as progress:
         if len(missing) < len(trials):
             progress.say(f"{len(trials) - len(missing)} of {len(trials)} trials are done already")
         workers, tell = workers_of(arguments), progress.say

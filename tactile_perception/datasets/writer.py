@@ -12,7 +12,6 @@ Each sample's row goes to a journal as soon as its image is on disk; `finish` tu
 from __future__ import annotations
 
 import csv
-import fcntl
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -23,14 +22,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.whole_file import whole_file
+from tactile_base.whole_file import only_writer, whole_file
 from tactile_perception.datasets import layout
 from tactile_perception.datasets.layout import DatasetError, image_name, image_number
 from tactile_perception.estimating.image import Image, ImageError
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 
 IMAGE_KINDS = ("processed", "raw", "both")
-LOCK_NAME = ".writing"
 _COLUMNS = ("sensor_image", *layout.POSE_COLUMNS, *layout.SHEAR_COLUMNS)
 
 
@@ -67,7 +65,10 @@ class DatasetWriter:
         self._preprocessor = Preprocessor(preprocessing)
         for name in self._image_folders():
             (self.folder / name).mkdir(parents=True, exist_ok=True)
-        self._lock = self._take_lock()
+        try:
+            self._lock = only_writer(self.folder)
+        except BlockingIOError as error:
+            raise DatasetError(str(error)) from error
         self._drop_cut_row()
         self._write_image_params()
 
@@ -154,16 +155,6 @@ class DatasetWriter:
     def _image_folders(self) -> list[str]:
         folders = {"processed": [layout.IMAGES_NAME], "raw": [layout.RAW_IMAGES_NAME]}
         return folders.get(self.kind, [layout.IMAGES_NAME, layout.RAW_IMAGES_NAME])
-
-    def _take_lock(self) -> IO[str]:
-        """A lock that ends with this process, whatever ends it."""
-        file = (self.folder / LOCK_NAME).open("w")
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            file.close()
-            raise DatasetError(f"{self.folder}: another process is writing to this folder") from error
-        return file
 
     def _drop_cut_row(self) -> None:
         """Remove a last row that an interruption cut short; it could still look like numbers."""

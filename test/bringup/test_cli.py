@@ -9,7 +9,7 @@ import pytest
 
 from tactile_base.config_paths import config_path
 from tactile_base.version import version
-from tactile_base.whole_file import room_for_results
+from tactile_base.whole_file import only_writer, room_for_results
 from tactile_bringup import cli
 from tactile_perception.estimating.estimator import shipped_model
 
@@ -209,3 +209,9 @@ def test_python_packages_that_are_missing_are_named_with_what_installs_them(tmp_
     assert done.returncode == 1 and "Traceback" not in done.stderr
     assert "Python packages are missing: ruckig, mcap; type: " in done.stderr
     assert f"{sys.executable} -m pip install" in done.stderr
+
+
+def test_a_folder_has_one_writer_at_a_time(tmp_path):
+    with only_writer(tmp_path), pytest.raises(BlockingIOError, match="another process is writing"):
+        only_writer(tmp_path)
+    only_writer(tmp_path).close()
