@@ -44,7 +44,7 @@ class Augmenter:
     ----------
     center : (2,) of the markers in crop pixels
     correlation : of the pattern at rest with its turned copies; nan if the center was given
-    mirror : direction (rad, from x to y) of the line that images are mirrored at
+    copies : (n, 2, 2), how an image looks to the same sensor turned, and mirrored; the first is as it is
     """
 
     def __init__(
@@ -68,7 +68,11 @@ class Augmenter:
         self.size = images.shape[1] // SCALE
         self._geometry = CropGeometry(crop_shape, images.shape[1])
         self.center, self.correlation = self._find_center(images, depth)
-        self.mirror = self._find_mirror(images, depth) if settings.mirror else 0.0
+        turns = [turn(2.0 * np.pi * k / settings.symmetry) for k in range(settings.symmetry)]
+        if settings.mirror:
+            mirror = reflection(self._find_mirror(images, depth))
+            turns += [mirror @ linear for linear in turns]
+        self.copies = np.array(turns)
         self._disk = self._geometry.disk(self.center, settings.symmetry_radius)
 
     def __call__(self, images: Image, rng: np.random.Generator) -> tuple[Image, NDArray[np.int64]]:
@@ -81,13 +85,10 @@ class Augmenter:
         return result, turns
 
     def turned(self, image: Image, k: int) -> Image:
-        """One image (SCALE * size), its disk turned by k / symmetry of a circle; beyond 1 mirrored, too."""
+        """One image (SCALE * size) with its disk as in the k-th of `copies`."""
         if k == 0:
             return image
-        linear = turn(2.0 * np.pi * k / self.settings.symmetry)
-        if k >= self.settings.symmetry:
-            linear = reflection(self.mirror) @ linear
-        inverse = self._geometry.inverse_map(linear, self.center, np.zeros(2))
+        inverse = self._geometry.inverse_map(self.copies[k], self.center, np.zeros(2))
         return np.where(self._disk, warped(image, inverse), image)
 
     def axis(self, images: Image, labels: Array, directed: bool) -> SymmetryAxis:

@@ -299,11 +299,6 @@ def _check_symmetry(data: RunData, config: TrainConfig) -> None:
             f"{asked}: an image in color, lit from several sides, does not look the same after a turn; "
             f"{without}"
         )
-    if given.mirror and config.network.field_order:
-        raise SettingError(
-            f"{asked}: markers that are laid back (network.field_order) are turned, never mirrored; give "
-            "--set augmentation.mirror=false"
-        )
 
 
 def data_folders(

@@ -34,15 +34,15 @@ class StepLoss(nn.Module):
         self.network, self.axis, self._low_precision = network, axis, low_precision
         self._fields, self._labels, self._settings = fields, labels, settings
 
-    def draw(self, order: int, rng: np.random.Generator) -> tuple[Turns, Turns] | None:
+    def draw(self, copies: int, rng: np.random.Generator) -> tuple[Turns, Turns] | None:
         """Samples and turns whose followed fields the last layers learn from; None without fields.
 
-        `order` is the symmetry's; 1: no turns.
+        `copies` is the number of those that images have; 1: no turns.
         """
         if self._fields is None:
             return None
         chosen = rng.choice(self._fields.known, FIELDS_A_SAMPLE * self._settings.batch_size)
-        return chosen, rng.integers(0, order, len(chosen))
+        return chosen, rng.integers(0, copies, len(chosen))
 
     def forward(
         self, images: Tensor, samples: Tensor, turns: Turns, drawn: tuple[Turns, Turns] | None

@@ -1,7 +1,7 @@
 """The displacement field of an image's markers, in polynomials on the disc where they rest.
 
-Zernike's polynomials: orthonormal on a disc, few where the field is smooth, and closed under turns, so that
-the field of a turned image is a matrix times that of the image.
+Zernike's polynomials: orthonormal on a disc, few where the field is smooth, and closed under turns and
+reflections, so that the field of a turned image is a matrix times that of the image.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from tactile_perception.datasets.dataset import DatasetError, open_folder
 from tactile_perception.datasets.folder import TactileFolder
 from tactile_perception.markers.labelled import Progress, track
-from tactile_perception.training.symmetry import turn
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -56,19 +55,18 @@ def _radial(n: int, m: int, radius: Array) -> Array:
     return total
 
 
-def turned(order: int, angle: float) -> Array:
-    """(2 F, 2 F): what a turn of the image by `angle` (rad, from x to y) makes of a field's numbers."""
+def mapped(order: int, linear: Array) -> Array:
+    """(2 F, 2 F): what a turn or reflection (2, 2) of the image makes of a field's numbers."""
     rng = np.random.default_rng(0)
     radius, azimuth = np.sqrt(rng.random(1000)), 2.0 * np.pi * rng.random(1000)
     points = radius[:, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
-    rotation = turn(angle)
-    before, after = polynomials(points, order), polynomials(points @ rotation, order)
-    return np.kron(np.linalg.lstsq(before, after, rcond=None)[0], rotation)
+    before, after = polynomials(points, order), polynomials(points @ linear, order)
+    return np.kron(np.linalg.lstsq(before, after, rcond=None)[0], linear)
 
 
-def all_turns(order: int, symmetry: int) -> Array:
-    """(symmetry, 2 F, 2 F): `turned` by each multiple of 1 / symmetry of a circle."""
-    return np.array([turned(order, 2.0 * np.pi * k / symmetry) for k in range(symmetry)])
+def all_mapped(order: int, maps: Array) -> Array:
+    """(n, 2 F, 2 F): `mapped` by each of maps (n, 2, 2)."""
+    return np.array([mapped(order, linear) for linear in maps])
 
 
 @dataclass(frozen=True)
@@ -142,15 +140,15 @@ class MarkerFields:
         """(N,)"""
         return np.asarray(np.isfinite(self.values[:, 0, 0]))
 
-    def modes(self, order: int, symmetry: int) -> tuple[Array, Array]:
-        """Mean (2 F,) and modes (2 F, 2 F) of the fields of images turned by multiples of 1 / symmetry.
+    def modes(self, order: int, copies: Array) -> tuple[Array, Array]:
+        """Mean (2 F,) and modes (2 F, 2 F) of the fields of images mapped by `copies` (n, 2, 2).
 
         A field's numbers are mean + modes @ q, with q along the fields' principal axes. Each of q is divided
         by the root of its deviation: small parts of a field, that tell the twist, weigh more than by their
         pixels, and less than if all had the same deviation.
         """
         values = self.values[self.known].reshape(-1, 2 * self.values.shape[1]).astype(np.float64)
-        maps = all_turns(order, symmetry)
+        maps = all_mapped(order, copies)
         mean = maps.mean(axis=0) @ values.mean(axis=0)
         second = (values - mean).T @ (values - mean) / len(values)
         variance, axes = np.linalg.eigh((maps @ second @ maps.transpose(0, 2, 1)).mean(axis=0))

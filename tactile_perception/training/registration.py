@@ -15,10 +15,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from tactile_perception.training.convolutions import convolutions
-from tactile_perception.training.marker_field import MarkerFields, all_turns, polynomials
+from tactile_perception.training.marker_field import MarkerFields, all_mapped, polynomials
 from tactile_perception.training.output_layer import MultiDropoutLinear
 from tactile_perception.training.settings import NetworkSettings
 from tactile_perception.training.symmetry import CropGeometry
+
+Array = NDArray[np.float64]
 
 #: Modes of the field by which the image is pulled back.
 COARSE_MODES = 20
@@ -55,10 +57,13 @@ class Registration(nn.Module):
         self.register_buffer("rest", torch.zeros(2 * self.size**2))
         self.register_buffer("shifts", torch.zeros(self.coarse_count, 2 * self.size**2))
 
-    def place(self, fields: MarkerFields, crop_shape: tuple[int, int], symmetry: int) -> None:
-        """Take the disc from training data, and the modes unless another network has given its own."""
+    def place(self, fields: MarkerFields, crop_shape: tuple[int, int], copies: Array) -> None:
+        """Take the disc from training data, and the modes unless another network has given its own.
+
+        `copies` (n, 2, 2): how images are turned and mirrored in training.
+        """
         if not self.modes.any():
-            mean, modes = fields.modes(self.order, symmetry)
+            mean, modes = fields.modes(self.order, copies)
             self.mean.copy_(torch.from_numpy(mean))
             self.modes.copy_(torch.from_numpy(modes))
         pixels = np.stack(np.meshgrid(*2 * [np.arange(float(self.size))]), axis=-1).reshape(-1, 2)
@@ -94,18 +99,18 @@ def _read(layer: MultiDropoutLinear, features: Tensor) -> Tensor:
 
 
 class FieldTargets:
-    """What a `Registration` is to say of training images and of turned ones.
+    """What a `Registration` is to say of training images, turned and mirrored as `copies` (n, 2, 2) say.
 
     Attributes
     ----------
     known : samples whose fields are known
     """
 
-    def __init__(self, fields: MarkerFields, base: Registration, symmetry: int, device: torch.device) -> None:
+    def __init__(self, fields: MarkerFields, base: Registration, copies: Array, device: torch.device) -> None:
         mean, modes = base.mean.cpu().double().numpy(), base.modes.cpu().double().numpy()
         values = np.linalg.solve(modes, (fields.values.reshape(len(fields.values), -1) - mean).T).T
         self._values = torch.from_numpy(values).float().to(device)
-        turns = all_turns(base.order, symmetry)
+        turns = all_mapped(base.order, copies)
         shifts = np.linalg.solve(modes, (turns @ mean - mean).T).T
         self._maps = torch.from_numpy(np.linalg.solve(modes, turns @ modes)).float().to(device)
         self._shifts = torch.from_numpy(shifts).float().to(device)

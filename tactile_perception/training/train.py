@@ -168,10 +168,10 @@ class _Run:
         self.network.start_from(labels)
         if data.start is not None:
             data.start.give(self.network)
-        fields = self._place_fields()
-        self.network.to(self.device).to(memory_format=self.layout)  # type: ignore[call-overload]
         self.axis: SymmetryAxis | None = None
         self.augmenter = self._augmenter()
+        fields = self._place_fields()
+        self.network.to(self.device).to(memory_format=self.layout)  # type: ignore[call-overload]
         self.optimizer = self._optimizer()
         self.average = WeightAverage(self.network, settings.average_decay)
         self.loss = StepLoss(
@@ -255,19 +255,20 @@ class _Run:
             images, turns = self.augmenter(images, rng)
         else:
             images = reduced(images, self.config.network.image_size)
-        drawn = self.loss.draw(settings.symmetry if augmented else 1, rng)
+        drawn = self.loss.draw(settings.copies if augmented else 1, rng)
         inputs, samples = (torch.from_numpy(array).to(self.device) for array in (images, rows))
         loss: Tensor = self.joined(self._input(inputs), samples, turns, drawn)
         return loss
 
     def _place_fields(self) -> FieldTargets | None:
         """What the network's base is to find; its disc and scale come from there."""
-        base, fields, symmetry = self.network.base, self.data.fields, self.config.augmentation.symmetry
+        base, fields = self.network.base, self.data.fields
         if fields is None:
             return None
         assert isinstance(base, Registration)
-        base.place(fields, self.data.preprocessing.crop_shape, symmetry)
-        return FieldTargets(fields, base, symmetry, self.device)
+        copies = np.eye(2)[None] if self.augmenter is None else self.augmenter.copies
+        base.place(fields, self.data.preprocessing.crop_shape, copies)
+        return FieldTargets(fields, base, copies, self.device)
 
     def evaluate(self, samples: Samples, low_precision: bool = False) -> tuple[float, NDArray[np.float64]]:
         """Loss and MAE (K,) of the network as it is; NaN where nothing is labelled."""

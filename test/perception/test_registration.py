@@ -19,12 +19,13 @@ from tactile_perception.markers.detection import detect  # noqa: E402
 from tactile_perception.training.config import TrainConfig  # noqa: E402
 from tactile_perception.training.data import load_data, load_start  # noqa: E402
 from tactile_perception.training.export import export_onnx  # noqa: E402
-from tactile_perception.training.marker_field import MarkerFields, polynomials, turned  # noqa: E402
+from tactile_perception.training.marker_field import MarkerFields, mapped, polynomials  # noqa: E402
 from tactile_perception.training.network import PoseNetwork  # noqa: E402
 from tactile_perception.training.progress import TrainingProgress  # noqa: E402
 from tactile_perception.training.registration import FieldTargets, Registration  # noqa: E402
 from tactile_perception.training.run_folder import RunFolder  # noqa: E402
 from tactile_perception.training.settings import NetworkSettings  # noqa: E402
+from tactile_perception.training.symmetry import reflection, turn  # noqa: E402
 from tactile_perception.training.train import train_network  # noqa: E402
 
 ORDER = 4
@@ -76,9 +77,13 @@ def random_fields(count: int, seed: int = 0, size: float = 2.0) -> MarkerFields:
     return MarkerFields(np.array([78.0, 66.0]), 60.0, values.astype(np.float32))
 
 
-def placed(fields: MarkerFields, symmetry: int = 1) -> Registration:
+ALONE = np.eye(2)[None]
+COPIES = np.array([flip @ turn(k * np.pi / 3) for flip in (np.eye(2), reflection(0.7)) for k in range(6)])
+
+
+def placed(fields: MarkerFields, copies: np.ndarray = ALONE) -> Registration:
     base = Registration(SETTINGS, 1)
-    base.place(fields, CROP, symmetry)
+    base.place(fields, CROP, copies)
     return base.eval()
 
 
@@ -107,35 +112,34 @@ def test_polynomials_are_orthonormal_on_the_disc():
     np.testing.assert_allclose(values.T @ (weight[:, None] * values), np.eye(values.shape[1]), atol=1e-10)
 
 
-@pytest.mark.parametrize("angle", [np.pi / 3, -2.0, 3.1])
-def test_the_field_of_a_turned_image_is_the_turned_field(angle):
+@pytest.mark.parametrize("linear", COPIES[[1, 5, 6, 10]])
+def test_the_field_of_a_turned_or_mirrored_image_is_the_field_mapped_likewise(linear):
     numbers, points = random_fields(1).values[0].astype(float), disc(200, seed=1)
-    c, s = np.cos(angle), np.sin(angle)
-    rotation = np.array([[c, -s], [s, c]])
-    expected = polynomials(points @ rotation, ORDER) @ numbers @ rotation.T  # at the point turned back
-    found = polynomials(points, ORDER) @ (turned(ORDER, angle) @ numbers.ravel()).reshape(-1, 2)
+    back = points @ np.linalg.inv(linear).T
+    expected = polynomials(back, ORDER) @ numbers @ linear.T
+    found = polynomials(points, ORDER) @ (mapped(ORDER, linear) @ numbers.ravel()).reshape(-1, 2)
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 def test_modes_give_fields_back_turned_and_not_and_are_of_decreasing_size():
     fields = random_fields(100)
-    base = placed(fields, symmetry=6)
-    targets = FieldTargets(fields, base, 6, torch.device("cpu"))
-    samples, turns = torch.arange(100), np.arange(100) % 6
+    base = placed(fields, COPIES)
+    targets = FieldTargets(fields, base, COPIES, torch.device("cpu"))
+    samples, turns = torch.arange(100), np.arange(100) % 12
     mean, modes = base.mean.double().numpy(), base.modes.double().numpy()
     found = mean + targets(samples, turns).double().numpy() @ modes.T
     expected = [
-        turned(ORDER, k * np.pi / 3) @ values.ravel() for k, values in zip(turns, fields.values, strict=True)
+        mapped(ORDER, COPIES[k]) @ values.ravel() for k, values in zip(turns, fields.values, strict=True)
     ]
     np.testing.assert_allclose(found, expected, atol=2e-3)
-    spread = np.concatenate([targets(samples, np.full(100, k)).numpy() for k in range(6)]).std(axis=0)
+    spread = np.concatenate([targets(samples, np.full(100, k)).numpy() for k in range(12)]).std(axis=0)
     assert np.all(np.diff(spread) < 1e-3) and np.mean(spread**2) == pytest.approx(1.0, rel=0.05)
 
 
 def test_an_image_whose_field_is_not_known_has_no_target():
     fields = random_fields(10)
     fields.values[3] = np.nan
-    targets = FieldTargets(fields, placed(fields), 1, torch.device("cpu"))
+    targets = FieldTargets(fields, placed(fields), ALONE, torch.device("cpu"))
     assert targets.known.tolist() == [0, 1, 2, *range(4, 10)]
     wanted = targets(torch.arange(10), np.zeros(10, int))
     assert torch.isnan(wanted[3]).all() and torch.isfinite(wanted[4]).all()
@@ -159,7 +163,7 @@ def test_an_image_is_pulled_back_to_where_its_markers_rest():
     moved = rest + polynomials((rest - fields.center) / fields.radius, ORDER) @ fields.values[chosen]
     assert np.linalg.norm(moved - rest, axis=1).max() > 4.0
     # what the first modes leave out is small here, as it is in fields of markers
-    numbers = FieldTargets(fields, base, 1, torch.device("cpu"))(torch.tensor([chosen]), np.zeros(1, int))
+    numbers = FieldTargets(fields, base, ALONE, torch.device("cpu"))(torch.tensor([chosen]), np.zeros(1, int))
     images = torch.from_numpy(np.stack([spots(moved)]))[:, None]
     back = base.pulled_back(images, numbers[:, : base.coarse_count])[0, 0].numpy()
     scale = np.array([SIDE / CROP[1], SIDE / CROP[0]])
@@ -175,7 +179,7 @@ def test_an_image_is_pulled_back_to_where_its_markers_rest():
 def test_exported_model_looks_twice_as_the_network_does(tmp_path):
     torch.manual_seed(3)
     network = PoseNetwork(SETTINGS.replaced(head="full_gaussian"))
-    network.base.place(random_fields(60), CROP, 6)
+    network.base.place(random_fields(60), CROP, COPIES)
     with torch.no_grad():
         for layer in (network.base.coarse, network.base.fine, network.head):
             layer.weight.normal_()
