@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
+
 import cv2
 import numpy as np
 import torch
@@ -15,7 +17,7 @@ from tactile_perception.training.symmetry import (
     find_center,
     find_mirror,
     mirror_of_labels,
-    pattern_at_rest,
+    patterns_at_rest,
     reflection,
     turn,
     warped,
@@ -138,9 +140,11 @@ class Augmenter:
             return np.array(settings.symmetry_center), float("nan")
         if settings.symmetry == 1:
             return self._geometry.to_crop(np.full(2, (self._geometry.side - 1) / 2.0)), float("nan")
-        center, correlation = find_center(
-            pattern_at_rest(images, depth), self._geometry, settings.symmetry, self._inner_radius
-        )
+        found = [
+            find_center(pattern, self._geometry, settings.symmetry, self._inner_radius)
+            for pattern in patterns_at_rest(images, depth)
+        ]
+        center, correlation = max(found, key=itemgetter(1))
         if correlation < MIN_CORRELATION:
             raise AugmentationError(
                 f"augmentation.symmetry = {settings.symmetry}: the markers do not look the same after a turn "
@@ -151,8 +155,11 @@ class Augmenter:
 
     def _find_mirror(self, images: Image, depth: Array) -> float:
         """Direction of the mirror's line in the image."""
-        pattern, order = pattern_at_rest(images, depth), self.settings.symmetry
-        direction, correlation = find_mirror(pattern, self._geometry, self.center, order, self._inner_radius)
+        found = [
+            find_mirror(pattern, self._geometry, self.center, self.settings.symmetry, self._inner_radius)
+            for pattern in patterns_at_rest(images, depth)
+        ]
+        direction, correlation = max(found, key=itemgetter(1))
         if correlation < MIN_CORRELATION:
             raise AugmentationError(
                 "augmentation.mirror = true: the markers do not look the same in any mirror (best "

@@ -26,8 +26,8 @@ Array = NDArray[np.float64]
 
 #: Blur of the mean image before images are compared, in pixels; more would wipe small markers out.
 _BLUR = 1.0
-#: Part of the samples, the shallowest ones, whose mean shows the markers nearly at rest.
-_SHALLOW = 0.03
+#: The shallowest samples, whose mean shows the markers nearly at rest: a part of all, or so many.
+_SHALLOW, _FEW = 0.03, (10, 20)
 #: Percentile of the levels above which all is one: a lamp's glare is none of the pattern.
 _BRIGHT = 95.0
 #: Directions that are tried for a mirror.
@@ -204,7 +204,7 @@ def find_center(
 
     Parameters
     ----------
-    pattern : of `pattern_at_rest`
+    pattern : of `patterns_at_rest`
     order : of the symmetry
     radius : of the compared disk, in crop pixels
     """
@@ -279,13 +279,19 @@ def _directions(labels: Array, directed: bool) -> Array:
     return np.hstack([pair / np.sqrt(np.nanmean(pair**2)) for pair in pairs])
 
 
-def pattern_at_rest(images: Image, depth: Array) -> NDArray[np.float32]:
-    """Mean (side, side) of the shallowest images (N, side, side), blurred; lamps are as bright as markers."""
-    count = max(1, round(_SHALLOW * len(images)))
-    chosen = np.argsort(depth, kind="stable")[:count]
-    mean = images[chosen].mean(axis=0)
-    mean = np.minimum(mean, np.percentile(mean, _BRIGHT)).astype(np.float32)
-    return np.asarray(cv2.GaussianBlur(mean, (0, 0), _BLUR), np.float32)
+def patterns_at_rest(images: Image, depth: Array) -> list[NDArray[np.float32]]:
+    """Means (side, side) of more or fewer of the shallowest images (N, side, side), blurred.
+
+    One of the best few shows the markers best where there are thousands; of a hundred it takes more, since
+    each is of a contact somewhere. What is bright, as lamps are, is as bright as markers.
+    """
+    order, part = np.argsort(depth, kind="stable"), max(1, round(_SHALLOW * len(images)))
+    found = []
+    for count in sorted({min(count, len(images)) for count in (part, *_FEW)}):
+        mean = images[order[:count]].mean(axis=0)
+        mean = np.minimum(mean, np.percentile(mean, _BRIGHT)).astype(np.float32)
+        found.append(np.asarray(cv2.GaussianBlur(mean, (0, 0), _BLUR), np.float32))
+    return found
 
 
 def pattern_correlation(

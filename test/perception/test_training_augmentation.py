@@ -21,7 +21,7 @@ from tactile_perception.training.symmetry import (  # noqa: E402
     SymmetryAxis,
     find_center,
     find_mirror,
-    pattern_at_rest,
+    patterns_at_rest,
 )
 
 SHAPE, SIDE = (440, 445), 256
@@ -57,7 +57,7 @@ def augmenter(images: np.ndarray, **settings) -> Augmenter:
 
 def test_center_of_the_markers_is_found_in_the_images():
     images = np.stack([square(rings())] * 4)
-    pattern = pattern_at_rest(images, np.arange(4.0))
+    (pattern, *_) = patterns_at_rest(images, np.arange(4.0))
     center, correlation = find_center(pattern, GEOMETRY, order=6, radius=200.0)
     np.testing.assert_allclose(center, CENTER, atol=0.5)
     assert correlation > 0.95
@@ -164,7 +164,7 @@ def test_what_an_edge_lacks_labels_of_stays_unknown():
 def test_a_mirror_is_found_in_rings_that_have_one():
     """Straight rings are the same in a mirror at their own direction, twisted ones in none."""
     depth, turned_by = np.arange(2.0), 0.2
-    pattern = pattern_at_rest(np.stack([square(rings(twist=0.0, by=turned_by))] * 2), depth)
+    (pattern, *_) = patterns_at_rest(np.stack([square(rings(twist=0.0, by=turned_by))] * 2), depth)
     direction, correlation = find_mirror(pattern, GEOMETRY, CENTER, 6, 200.0)
     assert correlation > 0.95
     np.testing.assert_allclose((direction - turned_by + np.pi / 12) % (np.pi / 6), np.pi / 12, atol=0.01)
