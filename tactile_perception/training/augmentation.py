@@ -69,13 +69,14 @@ class Augmenter:
         self.settings, self._dark = settings, np.float32(dark)
         self.size = images.shape[1] // SCALE
         self._geometry = CropGeometry(crop_shape, images.shape[1])
+        self._radius = min(settings.symmetry_radius, min(crop_shape) / 2.0 - 1.0)
         self.center, self.correlation = self._find_center(images, depth)
         turns = [turn(2.0 * np.pi * k / settings.symmetry) for k in range(settings.symmetry)]
         if settings.mirror:
             mirror = reflection(self._find_mirror(images, depth))
             turns += [mirror @ linear for linear in turns]
         self.copies = np.array(turns)
-        self._disk = self._geometry.disk(self.center, settings.symmetry_radius)
+        self._disk = self._geometry.disk(self.center, self._radius)
 
     def __call__(self, images: Image, rng: np.random.Generator) -> tuple[Image, NDArray[np.int64]]:
         """Images (n, SCALE * size, SCALE * size[, 3]) as (n, size, size[, 3]), and the turns of each (n,)."""
@@ -172,7 +173,7 @@ class Augmenter:
     @property
     def _inner_radius(self) -> float:
         """Of what is compared, without the rim of the markers' disk."""
-        return _INNER * self.settings.symmetry_radius
+        return _INNER * self._radius
 
 
 def without_markers(image: Image, probability: float, rng: np.random.Generator) -> Image:

@@ -231,7 +231,7 @@ class AugmentationSettings(Settings):
     )  # fmt: skip
     symmetry_radius: float = setting(
         209.0, unit="px", lower=1.0, upper=8192.0,
-        doc="only the disk of this radius turns; what is outside stays",
+        doc="only the disk of this radius turns, or of the largest in the crop; what is outside stays",
     )  # fmt: skip
     symmetry_sense: int = setting(
         1, choices=(-1, 1), doc="1: a turn from x to y in the image is one from x to y of the sensor"

@@ -11,7 +11,7 @@ from folders import dot_image
 from tactile_base.settings import SettingError
 from tactile_bringup import learning_page
 from tactile_bringup.cli import main
-from tactile_bringup.learning import Judged, Learning, LearningError, Promise, snapshot, with_more
+from tactile_bringup.learning import EDGE_PARTS, Judged, Learning, LearningError, Promise, snapshot, with_more
 from tactile_perception.datasets.dataset import DatasetWriter, open_folder
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 
@@ -122,6 +122,15 @@ def test_the_page_shows_rounds_promise_and_examples(learned):
     assert all(path.stat().st_size > 10_000 for path in pictures) and text.count("data:image/png") == 3
 
 
+def test_on_an_edge_offset_and_direction_are_judged(words, tmp_path):
+    on_edge = [*words, "--set", "training.model=edge"]
+    (found,) = Learning(tmp_path, TOTALS[:1], HARD, collect, on_edge).run()
+    assert set(found.errors) == {"depth", "offset", "direction", "tilt"}
+    run, promise = tmp_path / "rounds" / "00050" / "run", Promise.parse(["offset=0.1"], EDGE_PARTS)
+    page, *_ = learning_page.write(tmp_path, [found], found, run, promise)
+    assert "promise of offset 0.1 mm is not kept" in page.read_text()
+
+
 def test_more_contacts_are_told_by_a_power_law():
     found = [Judged(n, 10, {"depth": (8.0 / n**0.5, 0, 0)}, 0.95, 0.0) for n in (100, 400)]
     assert with_more(found, "depth", 1600) == pytest.approx(0.2)
@@ -147,6 +156,9 @@ def test_a_promise_is_kept_by_the_upper_end_of_the_band_and_by_what_is_judged():
         (["--set", "nothing.size=3"], "--set nothing.size=3: "),
         (["--set", "training.holdback=0.0"], "there is no other data to choose on"),
         (["--promise", "depth"], "depth"),
+        (["--promise", "offset=0.5"], "offset"),
+        (["--edge", "--promise", "shear=0.5"], "shear"),
+        (["--edge"], "one box with an edge (shape: box); there are: table (plane)"),
         (["--scene", "nowhere"], "nowhere"),
     ],
 )

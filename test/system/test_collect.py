@@ -13,7 +13,7 @@ import pytest
 
 from tactile_base.config_paths import config_path
 from tactile_base.settings import SettingError
-from tactile_bringup.commands.data_collect import chosen_settings, chosen_surface, frame_on
+from tactile_bringup.commands.data_collect import EDGED, chosen_settings, chosen_surface, defaults, frame_on
 from tactile_bringup.launching.environment import free_domain_id
 from tactile_perception.datasets.dataset import read_dataset
 from tactile_records.collecting.settings import DataCollectionSettings
@@ -106,6 +106,17 @@ def test_other_ranges_do_not_mix_into_a_folder(tmp_path, capsys):
         plan("--set", "sampling.depth=[0.001, 0.002]")
     with pytest.raises(ValueError, match="made with another first"):
         plan("--validation")
+
+
+def test_an_edge_is_pressed_deeper_and_less_tilted_unless_told_otherwise():
+    scene = load_scene(Path(__file__).parents[2] / "examples/my_sensor/my_plate.yaml")
+    arm = scene.arms["arm"]
+    T = frame_on(scene, chosen_surface(scene, arm, None, EDGED), arm)
+    np.testing.assert_allclose(T[:3, 3], [0.45, 0.0, arm.sensor.settings.tip_radius], atol=1e-9)
+    np.testing.assert_allclose(T[:3, 1:3].T, [[0, 1, 0], [0, 0, -1]], atol=1e-9)  # to the plate, into it
+    settings = chosen_settings(defaults(arm, 3, edge=True), None, ["sampling.depth=[0.004, 0.005]"])
+    assert settings.edge.pressed and settings.edge.tip_radius == arm.sensor.settings.tip_radius
+    assert settings.sampling.depth == (0.004, 0.005) and settings.sampling.disk_radius == 3e-3
 
 
 def test_with_an_external_arm_only_the_stage_before_it_is_started(tmp_path):
