@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from collected import Look, Store
 from kinematic_plant import TIP_RADIUS, Plant, pointing_down
 from scipy.optimize import brentq
 
@@ -134,41 +135,6 @@ class Bench(Plant):
         return TaskInputs(sensor_pose=StampedPose(stamp, T), image=StampedImage(stamp, T, seen))
 
 
-class Look:
-    """The bench's images are what there is to be seen in them."""
-
-    def forget(self) -> None:
-        pass
-
-    def __call__(self, image, without_contact):
-        return image
-
-
-class Store:
-    """Keeps samples in a list."""
-
-    def __init__(self) -> None:
-        self.captures, self.frame = [], None
-
-    def missing(self, samples):
-        return list(range(1, samples + 1))
-
-    def surface(self):
-        return None
-
-    def keep_reference(self, image):
-        pass
-
-    def keep_surface(self, T_base_f, assumed, touches):
-        self.frame = T_base_f
-
-    def keep(self, capture, image):
-        self.captures.append(capture)
-
-    def finish(self):
-        pass
-
-
 def test_the_arm_finds_the_edge_and_presses_on_both_sides_of_it_without_turning_round():
     assumed = true_frame() @ se3.pose_from_euler([0.0, 0.0015, 0.0005, 0.0, 0.0, 0.03])
     settings = dataclasses.replace(
@@ -189,12 +155,12 @@ def test_the_arm_finds_the_edge_and_presses_on_both_sides_of_it_without_turning_
         bench.step(command.twist)
         wrist.append(wrist[-1] + se3.log(se3.inverse(before) @ bench.T)[5])
     assert command.succeeded, command.reason
-    off = se3.log(se3.inverse(true_frame()) @ store.frame)
+    off = se3.log(se3.inverse(true_frame()) @ store.surfaces[-1])
     np.testing.assert_allclose(off[1:3], 0.0, atol=2e-4)
     np.testing.assert_allclose(off[3:], 0.0, atol=1e-2)
     labels = np.array([capture.euler for capture in store.captures])
     truth = np.array(
-        [se3.euler_from_pose(se3.inverse(store.frame) @ c.T_base_sensor) for c in store.captures]
+        [se3.euler_from_pose(se3.inverse(store.surfaces[-1]) @ c.T_base_sensor) for c in store.captures]
     )
     np.testing.assert_allclose(labels, truth, atol=1e-9)
     targets = np.array([capture.target for capture in store.captures])
