@@ -42,6 +42,8 @@ from tactile_perception.markers.flow import (
     variety_with_depth,
 )
 
+Array = NDArray[np.float64]
+
 LEVELS = ("ok", "note", "warning", "error")
 _USUAL_DEPTH_MM, _USUAL_ANGLE_DEG = 20.0, 90.0
 #: What has to be labelled for images to tell directions: they come from what shear and tilt have in common.
@@ -174,21 +176,25 @@ def _report_labels(result: CheckResult) -> None:
         )
     if np.abs(ranges[:3, :2]).max() > _USUAL_DEPTH_MM:
         result.add("warning", "labels", f"a length of {np.abs(ranges[:3, :2]).max():.1f} mm is unusual")
-    if np.abs(ranges[3:, :2]).max() > _USUAL_ANGLE_DEG:
-        result.add("warning", "labels", f"an angle of {np.abs(ranges[3:, :2]).max():.1f} deg is unusual")
+    on_edge = _goes_round(result.folder.euler_mm_deg)
+    largest = np.abs(ranges[3 : 5 if on_edge else 6, :2]).max()
+    if largest > _USUAL_ANGLE_DEG:
+        result.add("warning", "labels", f"an angle of {largest:.1f} deg is unusual")
     if not found.spreads:
         result.add(
             "note", "coverage", f"{len(result.folder)} samples are too few to tell how they are spread"
         )
     for spread in found.spreads:
-        if spread.name.startswith("x, y") and not {"x", "y"} <= set(labelled):
-            continue  # there is no disk
+        if spread.name.startswith("x, y") and (on_edge or not {"x", "y"} <= set(labelled)):
+            continue  # there is no disk; on an edge y is the offset
         text = f"{spread.name}: {spread.emptiest} to {spread.fullest} samples in each tenth"
         if spread.even:
             result.add("ok", "coverage", f"{text}, even (distance {spread.distance:.3f})")
         else:
             result.add("warning", "coverage", f"{text}, uneven (distance {spread.distance:.3f})")
-    for name, sectors in (("x, y", found.shear_sectors), ("alpha, beta", found.tilt_sectors)):
+    spread_over = [("alpha, beta", found.tilt_sectors)]
+    spread_over += [] if on_edge else [("x, y", found.shear_sectors)]
+    for name, sectors in spread_over:
         empty = int((sectors == 0).sum())
         if empty and sectors.sum() >= 10 * sectors.size and set(name.split(", ")) <= set(labelled):
             result.add("warning", "coverage", f"{name}: {empty} of {sectors.size} sectors are empty")
@@ -255,10 +261,10 @@ def _report_depth(result: CheckResult, deeper: float) -> None:
 def _report_conventions(result: CheckResult) -> None:
     assert result.flow is not None
     missing = [name for name in _DIRECTED if name not in result.folder.labelled]
-    round_about = np.ptp(result.flow.labels[:, 5]) > _WIDEST_GAMMA_DEG
-    if round_about:
+    on_edge = _goes_round(result.flow.labels)
+    if on_edge:
         _report_turning(result)
-    if missing or round_about:
+    if missing or on_edge:
         why = f"{', '.join(missing)} not labelled" if missing else "gamma goes round too far"
         text = f"images cannot tell other signs, units and the order of angles: {why}"
         result.add("note", "conventions", text)
@@ -285,6 +291,11 @@ def _report_conventions(result: CheckResult) -> None:
     else:
         text = f"too few samples tell extrinsic from intrinsic order (t = {found.order_t:+.1f}, 3 needed)"
         result.add("note", "angles", text)
+
+
+def _goes_round(labels: Array) -> bool:
+    """Whether labels (n, 6) are those of contacts on an edge: gamma is its direction."""
+    return bool(np.ptp(labels[:, 5]) > _WIDEST_GAMMA_DEG)
 
 
 def _report_turning(result: CheckResult) -> None:
