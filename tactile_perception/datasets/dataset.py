@@ -71,6 +71,7 @@ class TactileDataset:
     labelled : those of their components that are labelled; the others mean nothing
     sha256 : hash over names, labels and image files, in order
     reference : the processed image without contact, where images are compared with it
+    rest : as one of `images`, without contact; None where the folder has none, or images are compared with it
     """
 
     names: list[str]
@@ -82,6 +83,7 @@ class TactileDataset:
     sha256: str
     report: DatasetReport
     reference: Image | None = None
+    rest: Image | None = None
 
     def __len__(self) -> int:
         return len(self.names)
@@ -235,7 +237,16 @@ def read_rows(
         sha256=source.sha256 if isinstance(source, ShardedFolder) and whole else digest.hexdigest(),
         report=source.report,
         reference=source.preprocessor().reference,
+        rest=_at_rest(source),
     )
+
+
+def _at_rest(source: TactileFolder) -> Image | None:
+    """The image without contact, pre-processed to uint8 (size, size[, 3])."""
+    image, preprocessor = source.reference(), source.preprocessor()
+    if image is None or source.preprocessing.difference:
+        return None
+    return preprocessor.resized(image if source.processed else preprocessor.processed(image))
 
 
 def _loaded(source: TactileFolder, chosen: list[int]) -> Iterator[tuple[int, Image | ImageError, str]]:

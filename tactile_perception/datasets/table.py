@@ -29,12 +29,16 @@ from tactile_perception.estimating.labels import EULER_COMPONENTS
 Array = NDArray[np.float64]
 
 CONVENTIONS_NAME = "conventions.json"
+#: Tools with these columns touch at pose - move, some at pose + move, which signs tell, go to the pose, and
+#: take the image there (`collect_data` of dexterousrobot/tactile_servo_control and what it came from).
+MOVES = tuple(f"move_{k}" for k in range(1, 7))
+_SHEARED = (0, 1, 5)  # x, y and gamma; depth and tilt are those of the pose
 #: Columns of pose, and of the shear that may go with it, in the names of several generations of tools.
 COLUMN_SETS: tuple[tuple[tuple[str, ...], tuple[tuple[str, ...], ...]], ...] = (
     (layout.POSE_COLUMNS, (layout.SHEAR_COLUMNS,)),
     (
         tuple(f"pose_{k}" for k in range(1, 7)),
-        (tuple(f"shear_{k}" for k in range(1, 7)), tuple(f"move_{k}" for k in range(1, 7))),
+        (tuple(f"shear_{k}" for k in range(1, 7)), MOVES),
     ),
     (AXES, (tuple(f"d{axis}" for axis in AXES),)),
 )
@@ -138,7 +142,7 @@ def read_table(
     whole = np.array(numbers).reshape(-1, 15)
     factors = conventions.factors()  # signs and units first: a conversion takes what they make of the table
     pose, shear = mapping.converted(factors * whole[:, :6], factors * whole[:, 6:12])
-    _note_sums(path, pose, shear, report)
+    _settle_sums(path, pose, shear, mapping, report)
     return list(map(Row, names, pose, shear, whole[:, 12:])), mapping
 
 
@@ -225,10 +229,13 @@ def _known_mapping(
     def found(names: Sequence[str]) -> tuple[Column | None, ...]:
         return tuple(Column(name) if name in columns else None for name in names)
 
+    sheared = found(shear)
+    if shear == MOVES:
+        sheared = tuple(column if k in _SHEARED else None for k, column in enumerate(sheared))
     if pose != layout.POSE_COLUMNS:
         used = [name for name in (*pose, *shear) if name in columns]
         report.notes.append(f"{path.name}: labels read from {', '.join(used)}")
-    return {"image": image, "pose": found(pose), "shear": found(shear), "force": found(layout.FORCE_COLUMNS)}
+    return {"image": image, "pose": found(pose), "shear": sheared, "force": found(layout.FORCE_COLUMNS)}
 
 
 def _check_columns(columns: list[str], mapping: TableMapping, path: Path, report: DatasetReport) -> None:
@@ -249,11 +256,16 @@ def _ended(path: Path) -> bool:
         return file.read(1) in (b"\n", b"\r", b"")
 
 
-def _note_sums(path: Path, pose: Array, shear: Array, report: DatasetReport) -> None:
-    """Say which components come from both pose and shear: tools differ in what that means."""
+def _settle_sums(path: Path, pose: Array, shear: Array, mapping: TableMapping, report: DatasetReport) -> None:
+    """Say which components come from both pose and shear; of moves, the pose is where they ended."""
     if not len(pose):
         return
-    moves = (np.ptp(pose, axis=0) > 0) & (np.ptp(shear, axis=0) > 0)
-    if moves.any():
-        both = ", ".join(name for name, moving in zip(EULER_COMPONENTS, moves, strict=True) if moving)
-        report.notes.append(f"{path.name}: pose and shear both vary in {both}; their sum is taken")
+    both = (np.ptp(pose, axis=0) > 0) & (np.ptp(shear, axis=0) > 0)
+    if not both.any():
+        return
+    names = ", ".join(name for name, moving in zip(EULER_COMPONENTS, both, strict=True) if moving)
+    if any(column and column.name in MOVES for column in mapping.shear):
+        shear[:, both] = 0.0
+        report.notes.append(f"{path.name}: {names} of the pose, where the move had ended")
+    else:
+        report.notes.append(f"{path.name}: pose and shear both vary in {names}; their sum is taken")

@@ -13,6 +13,7 @@ from tactile_perception.estimating.image import Image
 from tactile_perception.training.settings import AugmentationSettings
 from tactile_perception.training.symmetry import (
     CropGeometry,
+    Pattern,
     SymmetryAxis,
     find_center,
     find_mirror,
@@ -56,6 +57,7 @@ class Augmenter:
         crop_shape: tuple[int, int],
         settings: AugmentationSettings,
         dark: float = 0.0,
+        rest: Image | None = None,
     ) -> None:
         """Find the markers' center and mirror; `AugmentationError` without the symmetry that settings name.
 
@@ -65,15 +67,17 @@ class Augmenter:
         depth : (N,) of the contacts; the shallowest show the markers at rest
         crop_shape : (rows, columns) of the crop that the images were reduced from
         dark : the level that no light changes; mid-gray in differences to the image without contact
+        rest : one more such image, without contact, if there is one
         """
         self.settings, self._dark = settings, np.float32(dark)
         self.size = images.shape[1] // SCALE
         self._geometry = CropGeometry(crop_shape, images.shape[1])
         self._radius = min(settings.symmetry_radius, min(crop_shape) / 2.0 - 1.0)
-        self.center, self.correlation = self._find_center(images, depth)
+        patterns = patterns_at_rest(images, depth, rest)
+        self.center, self.correlation = self._find_center(patterns)
         turns = [turn(2.0 * np.pi * k / settings.symmetry) for k in range(settings.symmetry)]
         if settings.mirror:
-            mirror = reflection(self._find_mirror(images, depth))
+            mirror = reflection(self._find_mirror(patterns))
             turns += [mirror @ linear for linear in turns]
         self.copies = np.array(turns)
         self._disk = self._geometry.disk(self.center, self._radius)
@@ -135,7 +139,7 @@ class Augmenter:
             image = np.clip(self._dark + factor * (image - self._dark), 0.0, 255.0).astype(np.uint8)
         return image
 
-    def _find_center(self, images: Image, depth: Array) -> tuple[Array, float]:
+    def _find_center(self, patterns: list[Pattern]) -> tuple[Array, float]:
         settings = self.settings
         if settings.symmetry_center:
             return np.array(settings.symmetry_center), float("nan")
@@ -143,7 +147,7 @@ class Augmenter:
             return self._geometry.to_crop(np.full(2, (self._geometry.side - 1) / 2.0)), float("nan")
         found = [
             find_center(pattern, self._geometry, settings.symmetry, self._inner_radius)
-            for pattern in patterns_at_rest(images, depth)
+            for pattern in patterns
         ]
         center, correlation = max(found, key=itemgetter(1))
         if correlation < MIN_CORRELATION:
@@ -154,11 +158,11 @@ class Augmenter:
             )
         return center, correlation
 
-    def _find_mirror(self, images: Image, depth: Array) -> float:
+    def _find_mirror(self, patterns: list[Pattern]) -> float:
         """Direction of the mirror's line in the image."""
         found = [
             find_mirror(pattern, self._geometry, self.center, self.settings.symmetry, self._inner_radius)
-            for pattern in patterns_at_rest(images, depth)
+            for pattern in patterns
         ]
         direction, correlation = max(found, key=itemgetter(1))
         if correlation < MIN_CORRELATION:

@@ -85,6 +85,7 @@ class RunData:
     model : what the network is to tell, and what of it the training data label
     start : the network to start from; None: random weights
     reference : the image without contact, where images are compared with it
+    rest : as one of `large`, without contact, where there is one
     fields : of the markers in the training images, where the network finds them
     streamed : all training samples, where `training` and `large` are some of them only
     """
@@ -99,6 +100,7 @@ class RunData:
     model: ContactModel = SURFACE
     start: Start | None = None
     reference: Image | None = None
+    rest: Image | None = None
     fields: MarkerFields | None = None
     streamed: ShardFeed | None = None
 
@@ -261,6 +263,7 @@ def arrange(
         report=report,
         model=model,
         reference=training.reference,
+        rest=training.rest,
         fields=fields,
     )
 

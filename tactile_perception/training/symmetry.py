@@ -23,6 +23,7 @@ from torch import Tensor, nn
 from tactile_perception.estimating.image import Image
 
 Array = NDArray[np.float64]
+Pattern = NDArray[np.float32]
 
 #: Blur of the mean image before images are compared, in pixels; more would wipe small markers out.
 _BLUR = 1.0
@@ -195,9 +196,7 @@ class CropGeometry:
         return np.asarray(np.linalg.norm(points - center, axis=-1) < radius)
 
 
-def find_center(
-    pattern: NDArray[np.float32], geometry: CropGeometry, order: int, radius: float
-) -> tuple[Array, float]:
+def find_center(pattern: Pattern, geometry: CropGeometry, order: int, radius: float) -> tuple[Array, float]:
     """Center (2,) of the markers, crop pixels, and how well the pattern at rest fits itself turned about it.
 
     That is the mean correlation over the turns; 1 is perfect.
@@ -221,7 +220,7 @@ def find_center(
 
 
 def find_mirror(
-    pattern: NDArray[np.float32], geometry: CropGeometry, center: Array, order: int, radius: float
+    pattern: Pattern, geometry: CropGeometry, center: Array, order: int, radius: float
 ) -> tuple[float, float]:
     """Direction (rad, from x to y) of a line through the center in which the pattern at rest is mirrored.
 
@@ -279,23 +278,25 @@ def _directions(labels: Array, directed: bool) -> Array:
     return np.hstack([pair / np.sqrt(np.nanmean(pair**2)) for pair in pairs])
 
 
-def patterns_at_rest(images: Image, depth: Array) -> list[NDArray[np.float32]]:
-    """Means (side, side) of more or fewer of the shallowest images (N, side, side), blurred.
+def patterns_at_rest(images: Image, depth: Array, rest: Image | None = None) -> list[Pattern]:
+    """Means (side, side) of more or fewer of the shallowest images (N, side, side), or `rest`; blurred.
 
-    One of the best few shows the markers best where there are thousands; of a hundred it takes more, since
-    each is of a contact somewhere. What is bright, as lamps are, is as bright as markers.
+    A few of thousands show the markers best; of a hundred it takes more, since each is of a contact
+    somewhere. What is bright, as lamps are, is as bright as markers.
     """
     order, part = np.argsort(depth, kind="stable"), max(1, round(_SHALLOW * len(images)))
-    found = []
-    for count in sorted({min(count, len(images)) for count in (part, *_FEW)}):
-        mean = images[order[:count]].mean(axis=0)
-        mean = np.minimum(mean, np.percentile(mean, _BRIGHT)).astype(np.float32)
-        found.append(np.asarray(cv2.GaussianBlur(mean, (0, 0), _BLUR), np.float32))
-    return found
+    counts = sorted({min(count, len(images)) for count in (part, *_FEW)})
+    means = [images[order[:count]].mean(axis=0) for count in counts]
+    if rest is not None:
+        means.insert(
+            0, cv2.resize(rest, images.shape[2:0:-1], interpolation=cv2.INTER_AREA).astype(np.float64)
+        )
+    dimmed = [np.minimum(mean, np.percentile(mean, _BRIGHT)).astype(np.float32) for mean in means]
+    return [np.asarray(cv2.GaussianBlur(mean, (0, 0), _BLUR), np.float32) for mean in dimmed]
 
 
 def pattern_correlation(
-    pattern: NDArray[np.float32], geometry: CropGeometry, center: Array, maps: Sequence[Array], radius: float
+    pattern: Pattern, geometry: CropGeometry, center: Array, maps: Sequence[Array], radius: float
 ) -> float:
     """Mean correlation of a pattern with itself, mapped (2, 2) about `center`, within the disk."""
     disk = geometry.disk(center, radius)

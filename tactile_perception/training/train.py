@@ -395,7 +395,7 @@ class _Run:
             return None
         depth, labels = data.model.depths(data.training.labels), data.training.labels
         dark = MID_GRAY if data.preprocessing.difference else 0.0
-        augmenter = Augmenter(data.large, depth, data.preprocessing.crop_shape, settings, dark)
+        augmenter = Augmenter(data.large, depth, data.preprocessing.crop_shape, settings, dark, data.rest)
         if settings.copies > 1:
             self.axis = augmenter.axis(data.large, labels, data.model.directed)
             self.axis.to(self.device)

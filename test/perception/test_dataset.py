@@ -250,7 +250,6 @@ def renamed(folder: Path, names: dict[str, str]) -> list[str]:
 @pytest.mark.parametrize(
     "pose, shear",
     [
-        ([f"pose_{k}" for k in range(1, 7)], [f"move_{k}" for k in range(1, 7)]),
         ([f"pose_{k}" for k in range(1, 7)], [f"shear_{k}" for k in range(1, 7)]),
         (["x", "y", "z", "Rx", "Ry", "Rz"], ["dx", "dy", "dz", "dRx", "dRy", "dRz"]),
     ],
@@ -260,6 +259,25 @@ def test_columns_of_other_generations_of_tools_are_read_and_said(folder, pose, s
     data = read_dataset(folder)
     np.testing.assert_array_equal(data.euler_mm_deg, EULER)
     assert any(f"labels read from {pose[0]}" in note and shear[5] in note for note in data.report.notes)
+
+
+def test_of_a_move_to_the_pose_the_pose_counts_and_where_it_says_nothing_the_move(folder):
+    """As tools with these columns work: the image is taken at the pose."""
+    columns = [f"{kind}_{k}" for kind in ("pose", "move") for k in range(1, 7)]
+    numbers = np.zeros((3, 12))
+    numbers[:, :6] = [[0, 1, 3, 10, 0, 90], [0, -2, 4, 5, 1, -60], [0, 3, 5, -5, 2, 30]]
+    numbers[:, 6:] = [[1, 2, 0, 3, -3, 4], [-1, 1, 0, 1, 2, 5], [2, 0, 0, -2, 1, 3]]
+    names = [row["sensor_image"] for row in table(folder)]
+    rows = [
+        {"sensor_image": name, **dict(zip(columns, map(str, row), strict=True))}
+        for name, row in zip(names, numbers, strict=True)
+    ]
+    write_table(folder, rows, ["sensor_image", *columns])
+    data = read_dataset(folder)
+    expected = numbers[:, :6].copy()
+    expected[:, 0] = numbers[:, 6]
+    np.testing.assert_array_equal(data.euler_mm_deg, expected)
+    assert any("y, gamma of the pose, where the move had ended" in note for note in data.report.notes)
 
 
 def test_object_poses_and_forces_beside_the_label_do_not_disturb(folder):
@@ -326,6 +344,7 @@ def test_the_image_without_contact_is_no_stray_and_can_be_had(folder):
     source = open_folder(folder)
     assert source.report.problems == {}
     assert source.reference().shape == (440, 445)
+    assert read_dataset(folder).rest.shape == read_dataset(folder).images.shape[1:]
     assert open_folder(folder).names == ["image_1.png", "image_2.png", "image_3.png"]
 
 

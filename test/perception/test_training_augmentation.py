@@ -70,6 +70,16 @@ def test_images_without_the_symmetry_are_refused():
         augmenter(np.stack([square(crop)] * 2))
 
 
+def test_an_image_without_contact_shows_the_markers_where_no_contact_does():
+    pressed = rings()
+    pressed[:, : SHAPE[1] // 2] = 0
+    images, rest = np.stack([square(pressed)] * 4), square(rings())
+    with pytest.raises(AugmentationError, match="do not look the same after a turn"):
+        augmenter(images)
+    given = Augmenter(images, np.arange(4.0), SHAPE, AugmentationSettings(symmetry=6), rest=rest)
+    np.testing.assert_allclose(given.center, CENTER, atol=0.5)
+
+
 @pytest.mark.parametrize("k", range(6))
 def test_a_turned_image_is_that_of_the_turned_contact(k):
     """The markers pushed in one direction, turned, against the markers pushed in the turned direction."""
