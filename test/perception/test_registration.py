@@ -54,7 +54,7 @@ TRAINING = {
         "learning_rate_peak": 3e-3,
     },
     "calibration": {"min_samples": 20},
-    "augmentation": {"symmetry": 6, "plain_epochs": 1.0},
+    "augmentation": {"symmetry": 6, "mirror": True, "plain_epochs": 1.0},
 }
 
 
