@@ -17,6 +17,7 @@ from tactile_perception.training.symmetry import (
     SymmetryAxis,
     find_center,
     find_mirror,
+    glance,
     mirror_of_labels,
     patterns_at_rest,
     reflection,
@@ -31,8 +32,8 @@ SCALE = 2
 #: The markers' pattern has to fit itself this well to be called symmetric.
 MIN_CORRELATION = 0.8
 _INNER = 0.957  # of the radius of the markers' disk
-#: So many images tell in which direction they are mirrored.
-_MIRRORED = 500
+#: So many images, with their turned copies, tell in which direction they are mirrored, and so many alone.
+_MIRRORED, _FEWEST_MIRRORED = 3000, 20
 _KERNEL = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
 
 
@@ -73,7 +74,7 @@ class Augmenter:
         self.size = images.shape[1] // SCALE
         self._geometry = CropGeometry(crop_shape, images.shape[1])
         self._radius = min(settings.symmetry_radius, min(crop_shape) / 2.0 - 1.0)
-        patterns = patterns_at_rest(images, depth, rest)
+        patterns = patterns_at_rest(images, depth, rest) if settings.copies > 1 else []
         self.center, self.correlation = self._find_center(patterns)
         turns = [turn(2.0 * np.pi * k / settings.symmetry) for k in range(settings.symmetry)]
         if settings.mirror:
@@ -111,10 +112,11 @@ class Augmenter:
         turned = SymmetryAxis(*given, directed=directed)
         if not settings.mirror:
             return turned
-        images, order = images[:_MIRRORED], settings.symmetry
-        repeated = torch.from_numpy(np.tile(labels[:_MIRRORED], (order, 1))).float()
+        order = settings.symmetry
+        images = images[: max(_FEWEST_MIRRORED, _MIRRORED // order)]
+        repeated = torch.from_numpy(np.tile(labels[: len(images)], (order, 1))).float()
         copies, mirrored = (
-            np.concatenate([[self.turned(image, k) for image in images] for k in range(first, first + order)])
+            np.array([glance(self.turned(image, k)) for k in range(first, first + order) for image in images])
             for first in (0, order)
         )
         turns = torch.arange(order).repeat_interleave(len(images))

@@ -236,23 +236,22 @@ def find_mirror(
     return float(found.x), -float(found.fun)
 
 
-def mirror_of_labels(images: Image, mirrored: Image, labels: Array, directed: bool) -> float:
+def mirror_of_labels(seen: Array, mirrored: Array, labels: Array, directed: bool) -> float:
     """Direction (rad) in {s} of the line that images have been mirrored at.
 
     It is the one for which a linear map from images to their labels has the mirrored images right, too.
 
     Parameters
     ----------
-    images, mirrored : uint8 (N, side, side)
+    seen, mirrored : (N, F), the `glance` at each image and at each that was mirrored
     labels, directed : (N, 6 or more), as of `SymmetryAxis`
     """
-    seen, reversed_ = (_looks(each) for each in (images, mirrored))
     wanted = _directions(labels, directed)
     middle, mean = seen.mean(axis=0), wanted.mean(axis=0)
-    seen, reversed_ = seen - middle, reversed_ - middle
+    seen, mirrored = seen - middle, mirrored - middle
     gram = seen.T @ seen
     gram += _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
-    told = reversed_ @ np.linalg.solve(gram, seen.T @ (wanted - mean)) + mean
+    told = mirrored @ np.linalg.solve(gram, seen.T @ (wanted - mean)) + mean
     given, once = torch.from_numpy(labels).double(), torch.ones(len(labels), dtype=torch.int64)
 
     def misfit(direction: float) -> float:
@@ -263,11 +262,9 @@ def mirror_of_labels(images: Image, mirrored: Image, labels: Array, directed: bo
     return float(min(np.arange(0.0, np.pi, np.radians(1.0)), key=misfit))
 
 
-def _looks(images: Image) -> Array:
-    """Images (N, side, side) as a few numbers each (N, F), blurred."""
-    size = (_LOOK, _LOOK)
-    small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA).ravel() for image in images]
-    return np.array(small, dtype=np.float64)
+def glance(image: Image) -> Array:
+    """An image (side, side) in a few numbers (F,), blurred."""
+    return cv2.resize(image, (_LOOK, _LOOK), interpolation=cv2.INTER_AREA).ravel().astype(np.float64)
 
 
 def _directions(labels: Array, directed: bool) -> Array:
