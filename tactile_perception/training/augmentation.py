@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 SCALE = 2
 #: The markers' pattern has to fit itself this well to be called symmetric.
 MIN_CORRELATION = 0.8
-_INNER = 0.957  # of the radius of the markers' disk
+_INNER = 0.9  # of the radius of the markers' disk
 #: So many images, with their turned copies, tell in which direction they are mirrored, and so many alone.
 _MIRRORED, _FEWEST_MIRRORED = 3000, 20
 _KERNEL = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)

@@ -27,10 +27,12 @@ Pattern = NDArray[np.float32]
 
 #: Blur of the mean image before images are compared, in pixels; more would wipe small markers out.
 _BLUR = 1.0
+#: And of what is taken from them, for contacts and shades are wider than markers.
+_SHADES = 6.0
 #: The shallowest samples, whose mean shows the markers nearly at rest: a part of all, or so many.
 _SHALLOW, _FEW = 0.03, (10, 20)
-#: Percentile of the levels above which all is one: a lamp's glare is none of the pattern.
-_BRIGHT = 95.0
+#: Percentile of the levels above the mean from which on all is one: a lamp's glare is none of the pattern.
+_BRIGHT = 80.0
 #: Directions that are tried for a mirror.
 _DIRECTIONS = 60
 #: Side, in pixels, at which images tell the direction of a mirror, and how firmly their map is held at 0.
@@ -276,10 +278,9 @@ def _directions(labels: Array, directed: bool) -> Array:
 
 
 def patterns_at_rest(images: Image, depth: Array, rest: Image | None = None) -> list[Pattern]:
-    """Means (side, side) of more or fewer of the shallowest images (N, side, side), or `rest`; blurred.
+    """The markers in means (side, side) of more or fewer of the shallowest images (N, side, side), or in `rest`.
 
-    A few of thousands show the markers best; of a hundred it takes more, since each is of a contact
-    somewhere. What is bright, as lamps are, is as bright as markers.
+    A few of thousands show them best; of a hundred it takes more, since each is of a contact somewhere.
     """
     order, part = np.argsort(depth, kind="stable"), max(1, round(_SHALLOW * len(images)))
     counts = sorted({min(count, len(images)) for count in (part, *_FEW)})
@@ -288,19 +289,32 @@ def patterns_at_rest(images: Image, depth: Array, rest: Image | None = None) -> 
         means.insert(
             0, cv2.resize(rest, images.shape[2:0:-1], interpolation=cv2.INTER_AREA).astype(np.float64)
         )
-    dimmed = [np.minimum(mean, np.percentile(mean, _BRIGHT)).astype(np.float32) for mean in means]
-    return [np.asarray(cv2.GaussianBlur(mean, (0, 0), _BLUR), np.float32) for mean in dimmed]
+    return [_markers(mean) for mean in means]
+
+
+def _markers(mean: Array) -> Pattern:
+    """What is small in a mean image: markers, not contacts and shades, and no brighter than most are."""
+    bright = mean[mean >= mean.mean()]
+    dimmed = np.minimum(mean, np.percentile(bright, _BRIGHT)).astype(np.float32)
+    fine, coarse = (cv2.GaussianBlur(dimmed, (0, 0), sigma) for sigma in (_BLUR, _SHADES))
+    return np.asarray(fine - coarse, np.float32)
 
 
 def pattern_correlation(
     pattern: Pattern, geometry: CropGeometry, center: Array, maps: Sequence[Array], radius: float
 ) -> float:
-    """Mean correlation of a pattern with itself, mapped (2, 2) about `center`, within the disk."""
+    """Mean correlation of a pattern with itself, mapped (2, 2) about `center`, within the disk.
+
+    -1 where there is nothing to be seen.
+    """
     disk = geometry.disk(center, radius)
     values = []
     for linear in maps:
         inverse = geometry.inverse_map(linear, center, np.zeros(2))
-        values.append(np.corrcoef(pattern[disk], warped(pattern, inverse)[disk])[0, 1])
+        pair = pattern[disk], warped(pattern, inverse)[disk]
+        if min(np.ptp(each) for each in pair) == 0.0:
+            return -1.0
+        values.append(np.corrcoef(*pair)[0, 1])
     return float(np.mean(values))
 
 

@@ -70,6 +70,12 @@ def test_images_without_the_symmetry_are_refused():
         augmenter(np.stack([square(crop)] * 2))
 
 
+@pytest.mark.parametrize("level", [0, 90])
+def test_images_that_show_nothing_are_refused(level):
+    with pytest.raises(AugmentationError, match="do not look the same after a turn"):
+        augmenter(np.full((4, SIDE, SIDE), level, np.uint8))
+
+
 def test_an_image_without_contact_shows_the_markers_where_no_contact_does():
     pressed = rings()
     pressed[:, : SHAPE[1] // 2] = 0
