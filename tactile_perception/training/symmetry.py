@@ -278,7 +278,7 @@ def _directions(labels: Array, directed: bool) -> Array:
 
 
 def patterns_at_rest(images: Image, depth: Array, rest: Image | None = None) -> list[Pattern]:
-    """The markers in means (side, side) of the shallowest images (N, side, side), more or fewer, or in `rest`.
+    """The markers in means (side, side) of the shallowest images (N, side, side), or in the one at `rest`.
 
     A few of thousands show them best; of a hundred it takes more, since each is of a contact somewhere.
     """
