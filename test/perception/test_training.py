@@ -303,7 +303,13 @@ def test_a_hundred_contacts_are_enough_for_their_configuration(dots, tmp_path):
     eulers = [rng.uniform([-4, -4, 0.5, -1, -1, -1], [4, 4, 6, 1, 1, 1]) for _ in range(100)]
     write_folder(tmp_path / "contacts", ((dots(euler, rng), euler) for euler in eulers))
     config = TrainConfig.from_file(CONFIGS / "few_contacts.yaml")
-    small = config.changed(["network.channels=[4,4,4,8,8]", "augmentation.symmetry_center=[222,219]"])
+    small = config.changed(
+        [
+            "network.channels=[4,4,4,8,8]",
+            "augmentation.symmetry_center=[222,219]",
+            "augmentation.mirror=false",
+        ]
+    )
     quick = small.changed(
         ["training.decay_epochs=1", "training.least_steps=30", "augmentation.plain_epochs=0"]
     )
