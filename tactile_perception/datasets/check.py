@@ -184,19 +184,20 @@ def _report_labels(result: CheckResult) -> None:
         result.add(
             "note", "coverage", f"{len(result.folder)} samples are too few to tell how they are spread"
         )
+    disk = not on_edge and {"x", "y"} <= set(labelled)  # on an edge y is the offset
     for spread in found.spreads:
-        if spread.name.startswith("x, y") and (on_edge or not {"x", "y"} <= set(labelled)):
-            continue  # there is no disk; on an edge y is the offset
+        if spread.name.startswith("x, y") and not disk:
+            continue
         text = f"{spread.name}: {spread.emptiest} to {spread.fullest} samples in each tenth"
         if spread.even:
             result.add("ok", "coverage", f"{text}, even (distance {spread.distance:.3f})")
         else:
             result.add("warning", "coverage", f"{text}, uneven (distance {spread.distance:.3f})")
-    spread_over = [("alpha, beta", found.tilt_sectors)]
-    spread_over += [] if on_edge else [("x, y", found.shear_sectors)]
-    for name, sectors in spread_over:
+    tilted = {"alpha", "beta"} <= set(labelled)
+    filled_by = (("x, y", found.shear_sectors, disk), ("alpha, beta", found.tilt_sectors, tilted))
+    for name, sectors, filled in filled_by:
         empty = int((sectors == 0).sum())
-        if empty and sectors.sum() >= 10 * sectors.size and set(name.split(", ")) <= set(labelled):
+        if filled and empty and sectors.sum() >= 10 * sectors.size:
             result.add("warning", "coverage", f"{name}: {empty} of {sectors.size} sectors are empty")
     if found.off_center:
         result.add("warning", "balance", f"the mean of {', '.join(found.off_center)} is far from zero")

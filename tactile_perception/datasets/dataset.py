@@ -40,7 +40,7 @@ from tactile_perception.estimating.image import (
     resolve,
 )
 from tactile_perception.estimating.labels import EULER_COMPONENTS
-from tactile_perception.estimating.preprocessing import PreprocessingSettings
+from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 
 __all__ = [
     "DatasetError",
@@ -223,7 +223,7 @@ def read_rows(
         digest.update(source.names[index].encode() + b"\0" + label + file_hash.encode())
         if progress is not None:
             progress(count + 1, len(chosen))
-    whole = len(chosen) == len(source)
+    whole, preprocessor = len(chosen) == len(source), source.preprocessor()
     source.report.samples = len(kept)
     if not kept:
         raise DatasetError("\n".join([f"{source.folder}: no readable image", *source.report.lines()]))
@@ -236,17 +236,20 @@ def read_rows(
         preprocessing=source.preprocessing,
         sha256=source.sha256 if isinstance(source, ShardedFolder) and whole else digest.hexdigest(),
         report=source.report,
-        reference=source.preprocessor().reference,
-        rest=_at_rest(source),
+        reference=preprocessor.reference,
+        rest=_at_rest(source, preprocessor),
     )
 
 
-def _at_rest(source: TactileFolder) -> Image | None:
-    """The image without contact, pre-processed to uint8 (size, size[, 3])."""
-    image, preprocessor = source.reference(), source.preprocessor()
-    if image is None or source.preprocessing.difference:
+def _at_rest(source: TactileFolder, preprocessor: Preprocessor) -> Image | None:
+    """The image without contact, pre-processed to uint8 (size, size[, 3]); None where it is of no use."""
+    image = None if source.preprocessing.difference else source.reference()
+    if image is None:
         return None
-    return preprocessor.resized(image if source.processed else preprocessor.processed(image))
+    try:
+        return preprocessor.resized(image if source.processed else preprocessor.processed(image))
+    except ImageError:  # of another size or kind than the others, which do without it
+        return None
 
 
 def _loaded(source: TactileFolder, chosen: list[int]) -> Iterator[tuple[int, Image | ImageError, str]]:

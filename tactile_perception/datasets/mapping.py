@@ -63,6 +63,7 @@ class TableMapping:
     ----------
     image : column of the image's name; "" for a mapping without columns, of a table with known ones
     pose, shear : (6,) of x, y, z, alpha, beta, gamma; a label is their sum
+    moves : whether shears are motions that ended at the pose, which counts where both vary
     force : (3,)
     flip : components whose sign is changed first
     euler : in which order the angles turn about their axes
@@ -78,6 +79,7 @@ class TableMapping:
     euler: str = _EXTRINSIC
     inverted: bool = False
     table: str = ""
+    moves: bool = False
 
     @property
     def groups(self) -> tuple[tuple[Column | None, ...], ...]:

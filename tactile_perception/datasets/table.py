@@ -142,7 +142,7 @@ def read_table(
     whole = np.array(numbers).reshape(-1, 15)
     factors = conventions.factors()  # signs and units first: a conversion takes what they make of the table
     pose, shear = mapping.converted(factors * whole[:, :6], factors * whole[:, 6:12])
-    _settle_sums(path, pose, shear, mapping, report)
+    _settle_sums(path, pose, shear, mapping.moves, report)
     return list(map(Row, names, pose, shear, whole[:, 12:])), mapping
 
 
@@ -235,7 +235,8 @@ def _known_mapping(
     if pose != layout.POSE_COLUMNS:
         used = [name for name in (*pose, *shear) if name in columns]
         report.notes.append(f"{path.name}: labels read from {', '.join(used)}")
-    return {"image": image, "pose": found(pose), "shear": sheared, "force": found(layout.FORCE_COLUMNS)}
+    force = found(layout.FORCE_COLUMNS)
+    return {"image": image, "pose": found(pose), "shear": sheared, "force": force, "moves": shear == MOVES}
 
 
 def _check_columns(columns: list[str], mapping: TableMapping, path: Path, report: DatasetReport) -> None:
@@ -256,7 +257,7 @@ def _ended(path: Path) -> bool:
         return file.read(1) in (b"\n", b"\r", b"")
 
 
-def _settle_sums(path: Path, pose: Array, shear: Array, mapping: TableMapping, report: DatasetReport) -> None:
+def _settle_sums(path: Path, pose: Array, shear: Array, moves: bool, report: DatasetReport) -> None:
     """Say which components come from both pose and shear; of moves, the pose is where they ended."""
     if not len(pose):
         return
@@ -264,7 +265,7 @@ def _settle_sums(path: Path, pose: Array, shear: Array, mapping: TableMapping, r
     if not both.any():
         return
     names = ", ".join(name for name, moving in zip(EULER_COMPONENTS, both, strict=True) if moving)
-    if any(column and column.name in MOVES for column in mapping.shear):
+    if moves:
         shear[:, both] = 0.0
         report.notes.append(f"{path.name}: {names} of the pose, where the move had ended")
     else:
