@@ -27,6 +27,7 @@ from tactile_perception.datasets.layout import is_sharded, parts_of
 from tactile_perception.datasets.shards import ShardedFolder, open_shards
 from tactile_perception.estimating.contact_model import CONTACT_MODELS, SURFACE, ContactModel
 from tactile_perception.estimating.image import Image
+from tactile_perception.estimating.labels import EULER_COMPONENTS
 from tactile_perception.estimating.model_metadata import split_holdback
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.evaluation.calibration import CalibrationError
@@ -41,6 +42,9 @@ from tactile_perception.training.settings import NetworkSettings
 _MODEL = "contact_model"
 #: One sample has no deviation to start from.
 _FEWEST_SAMPLES = 2
+#: Standard deviations (6,) in mm and degrees of labels that vary by an arm's errors alone; of the depth in mm
+#: from which labels are in those units.
+_IDLE, _MOVING = np.repeat([0.1, 0.2], 3), 0.3
 #: Settings in which networks of a run and its start may differ; all others decide which weights there are.
 _FREE = {
     "head",
@@ -196,8 +200,7 @@ def _read_some(
 def _streaming(data: RunData, source: ShardedFolder, whole: Split) -> RunData:
     """A run on the shards, of which `data` has some samples in memory."""
     kept, held_out = whole
-    labelled = (*source.labelled, *source.forces)
-    labels = data.model.labels(source.euler_mm_deg[kept], source.force[kept], labelled)
+    labels = data.model.labels(source.euler_mm_deg[kept], source.force[kept], data.model.labelled)
     fields = data.fields
     if fields is not None:
         fields = fields.among(len(kept), np.searchsorted(kept, spread_rows(source, kept)))
@@ -221,6 +224,8 @@ def arrange(
     is decided.
     """
     named = CONTACT_MODELS.load(config.training.model)
+    idle = _idle(training, named)
+    training = _without(training, idle)
     model = named.narrowed(training.labelled, training.report.folder)
     kept, held_out = split or split_holdback(len(training), config.training.holdback)
     large = training.images[kept] if config.augmentation.active else None
@@ -232,6 +237,7 @@ def arrange(
     }
     report, validated = training.report.lines(), samples.taken(held_out)
     if validation is not None:
+        validation = _without(validation, idle)
         named.narrowed(validation.labelled, validation.report.folder)
         facts |= {"validation_samples": len(validation), "validation_sha256": validation.sha256}
         report += validation.report.lines()
@@ -241,6 +247,8 @@ def arrange(
             report.append(f"  note: the {len(held_out)} samples held out choose the epoch as well")
     if model != SURFACE:
         facts[_MODEL] = model.plain()
+    if idle:
+        report.append(f"  note: {', '.join(idle)} never change by more than an arm errs: as if not labelled")
     if model.unknown:
         report.append(f"  {model.says_unknown()}")
     if not (preprocessing.binary or config.augmentation.gain):
@@ -266,6 +274,24 @@ def arrange(
         rest=training.rest,
         fields=fields,
     )
+
+
+def _idle(data: TactileDataset, model: ContactModel) -> list[str]:
+    """Components that were meant to stay as they are, so that labels of them are an arm's errors alone.
+
+    A network would tell them with next to no deviation, and its loss be about nothing else. A whole pose is
+    learned as one, and keeps them. Where depth does not change as in mm either, units are wrong.
+    """
+    deviations = data.euler_mm_deg.std(axis=0)
+    if not model.turning or deviations[2] < _MOVING:
+        return []
+    small = dict(zip(EULER_COMPONENTS, deviations < _IDLE, strict=True))
+    return [name for name in data.labelled if small.get(name) and name not in model.required]
+
+
+def _without(data: TactileDataset, names: list[str]) -> TactileDataset:
+    """The data set as if these were not labelled."""
+    return dataclasses.replace(data, labelled=tuple(name for name in data.labelled if name not in names))
 
 
 def check_samples(data: RunData, config: TrainConfig) -> None:

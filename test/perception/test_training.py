@@ -14,12 +14,14 @@ pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
 
 from tactile_base.settings import SettingError  # noqa: E402
 from tactile_bringup.commands import train as train_command  # noqa: E402
-from tactile_perception.datasets.dataset import DatasetError, read_dataset  # noqa: E402
+from tactile_perception.datasets.dataset import DatasetError, TactileDataset, read_dataset  # noqa: E402
+from tactile_perception.datasets.layout import DatasetReport  # noqa: E402
 from tactile_perception.estimating.estimator import Estimator  # noqa: E402
-from tactile_perception.estimating.labels import labels_from_euler, network_from_pose  # noqa: E402
+from tactile_perception.estimating.labels import EULER_COMPONENTS, labels_from_euler, network_from_pose  # noqa: E402
+from tactile_perception.estimating.preprocessing import PreprocessingSettings  # noqa: E402
 from tactile_perception.evaluation.calibration import CalibrationError  # noqa: E402
 from tactile_perception.training.augmentation import AugmentationError, Augmenter  # noqa: E402
-from tactile_perception.training.data import Samples, load_data, split_holdback  # noqa: E402
+from tactile_perception.training.data import Samples, arrange, load_data, split_holdback  # noqa: E402
 from tactile_perception.training.network import PoseNetwork  # noqa: E402
 from tactile_perception.training.progress import TrainingDisplay, TrainingProgress  # noqa: E402
 from tactile_perception.training.run_folder import Epoch, RunFolder  # noqa: E402
@@ -620,3 +622,29 @@ def test_a_run_is_resumed_with_other_settings_of_the_calibration(training_data, 
     model = train(training_data, tmp_path / "run", config).model_path
     assert len(Estimator(model).metadata.calibration.sigma_knots[0]) == 1
     assert TrainConfig.from_file(tmp_path / "run" / "config.yaml") == config
+
+
+@pytest.mark.parametrize("unit, told", [(1.0, ("y", "z", "gamma")), (1e-3, EULER_COMPONENTS)])
+def test_what_an_edge_was_pressed_without_is_not_labelled_by_the_arms_errors(tmp_path, unit, told):
+    """Shear along it and tilts are 0 but for those; in labels in m nothing is taken away."""
+    rng = np.random.default_rng(0)
+    labels = rng.uniform([0.0, -5.0, 0.5, 0.0, 0.0, -170.0], [0.0, 6.0, 6.0, 0.0, 0.0, 170.0], (200, 6))
+    labels += rng.normal(size=(200, 6)) * np.repeat([0.03, 0.05], 3)
+    data = TactileDataset(
+        names=[f"image_{k}.png" for k in range(200)],
+        images=np.zeros((200, 16, 16), np.uint8),
+        euler_mm_deg=labels * np.repeat([unit, 1.0], 3),
+        force=np.zeros((200, 3)),
+        labelled=EULER_COMPONENTS,
+        preprocessing=PreprocessingSettings(size=16),
+        sha256="",
+        report=DatasetReport(tmp_path),
+    )
+    config = TrainConfig(training=TrainingSettings(model="edge"))
+    ready = arrange(data, data, config, data.preprocessing)
+    assert ready.model.labelled == told
+    for samples in (ready.training, ready.validation):
+        assert tuple(np.array(EULER_COMPONENTS)[np.isfinite(samples.labels).all(axis=0)]) == told
+    assert any("x, alpha, beta never change" in line for line in ready.report) == (told != EULER_COMPONENTS)
+    whole = TrainConfig(training=TrainingSettings(model="surface"))
+    assert arrange(data, None, whole, data.preprocessing).model.labelled == EULER_COMPONENTS
