@@ -8,13 +8,13 @@ pixel. And other sensors of the same kind: other gel, pins and lens.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import Settings, setting
+from tactile_base.settings import Settings, bounds_of, setting
 from tactile_scene.simulated_sensors import TacTipSettings
 
 Image = NDArray[np.uint8]
@@ -150,8 +150,9 @@ def _other_sensor(sensor: TacTipSettings, rng: np.random.Generator) -> TacTipSet
     groups = {}
     for name, spread in _SPREAD.items():
         group = getattr(sensor, name)
+        bounds = {each.name: bounds_of(each.metadata, 0) for each in fields(group)}
         changes = {key: getattr(group, key) * np.exp(sigma * rng.normal()) for key, sigma in spread.items()}
-        groups[name] = group.replaced(**changes)
+        groups[name] = group.replaced(**{key: np.clip(value, *bounds[key]) for key, value in changes.items()})
     camera = groups["camera"]
     column, row = np.array([camera.center_column, camera.center_row]) + rng.normal(0.0, _CENTER, 2)
     groups["camera"] = camera.replaced(center_column=column, center_row=row)

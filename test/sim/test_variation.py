@@ -117,6 +117,10 @@ def test_other_sensors_differ_in_gel_pins_and_lens_and_a_seed_tells_which():
         assert other.markers.pitch_deg == pytest.approx(own.markers.pitch_deg, rel=0.2)
 
 
+def test_of_many_other_sensors_none_has_what_no_sensor_can_have():
+    assert max(sensor.skin.poisson_ratio for sensor in other_sensors(TacTipSettings(), 300, seed=5)) == 0.49
+
+
 def test_images_of_other_sensors_show_other_pins():
     own, other = (TacTip(settings, seed=2) for settings in other_sensors(TacTipSettings(), 2, seed=3))
     at_rest = [detect(sensor.image()).centers for sensor in (own, other)]
