@@ -3,6 +3,8 @@
 Sample `index` of a seed is the same pose wherever it is collected, in simulation without ROS or by an arm::
 
     pose = pose_of(SamplingSettings(), seed=1, index=0)     # (x, y, z, alpha, beta, gamma) of X_fs, m and rad
+
+It is reached in two steps, pressed and then sheared, on a flat surface or on an edge: `contact_poses`.
 """
 
 from __future__ import annotations
@@ -41,6 +43,28 @@ class SamplingSettings(Settings):
         check_ordered(self, "depth")
 
 
+#: On an edge it is pressed deeper than on a surface, sheared less and tilted less.
+ON_EDGES = {"depth": (3e-3, 5.5e-3), "disk_radius": 3e-3, "cap_angle": math.radians(10.0)}
+
+
+@dataclass(frozen=True)
+class EdgeSampling(Settings):
+    """Where contacts on an edge lie before the shear; x of their frame {f} is along it, y over the plate."""
+
+    offset: tuple[float, ...] = setting(
+        (-5e-3, 6e-3), unit="m", lower=-0.02, upper=0.02, length=2,
+        doc="least and largest y of a contact before the shear; below 0 the tip's middle is beside the plate",
+    )  # fmt: skip
+    direction: float = setting(
+        math.radians(170.0), unit="rad", lower=0.0, upper=math.radians(175.0),
+        doc="largest gamma before the shear; less where the wrist cannot turn all round",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ordered(self, "offset")
+
+
 def check_ordered(settings: Settings, *names: str) -> None:
     """Refuse a range (least, largest) that is upside down."""
     for name in names:
@@ -70,3 +94,18 @@ def sample_rng(seed: int, index: int) -> np.random.Generator:
 def pose_of(settings: SamplingSettings, seed: int, index: int) -> Array:
     """Surface contact pose (6,), m and rad, of sample `index` (from 0) of a seed."""
     return sample_pose(settings, sample_rng(seed, index))
+
+
+def contact_poses(
+    sampling: SamplingSettings, edge: EdgeSampling | None, seed: int, index: int
+) -> tuple[Array, Array]:
+    """Contact poses (6,), m and rad, of a sample: pressed, and after the shear. `edge` None: on a surface."""
+    sheared = pose_of(sampling, seed, index)
+    pressed = sheared.copy()
+    pressed[[0, 1, 5]] = 0.0
+    if edge is not None:
+        rng = np.random.default_rng([seed, index, 1])  # beside the stream that `pose_of` draws from
+        pressed[1] = rng.uniform(edge.offset[0], edge.offset[1])
+        pressed[5] = rng.uniform(-edge.direction, edge.direction)
+        sheared[[1, 5]] += pressed[[1, 5]]
+    return pressed, sheared

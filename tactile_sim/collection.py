@@ -7,6 +7,8 @@ settings, the seed and its index: a run that was interrupted goes on with the in
 
     for sample in generate(CollectionSettings(), seed=1, indices=range(6000)):
         ...
+
+With an `EdgeSampling` contacts are on the edge of a plate.
 """
 
 from __future__ import annotations
@@ -24,7 +26,15 @@ from tactile_base.config_paths import named_file
 from tactile_base.settings import setting
 from tactile_base.yaml_file import read_yaml
 from tactile_geometry import se3
-from tactile_scene.sampling import SamplingSettings, check_ordered, sample_pose, sample_rng
+from tactile_scene.sampling import (
+    EdgeSampling,
+    SamplingSettings,
+    check_ordered,
+    contact_poses,
+    sample_pose,
+    sample_rng,
+)
+from tactile_scene.shapes.box import Box, BoxSettings
 from tactile_scene.shapes.plane import Plane
 from tactile_scene.simulated_sensors import TacTipSettings
 from tactile_scene.simulation import read_sensor_groups
@@ -34,6 +44,7 @@ from tactile_sim.variation import VariationSettings, varied
 Array = NDArray[np.float64]
 _FLAT = 1e-6  # 1/m: as good as a plane
 _SCALE = np.array([1e-3] * 3 + [np.pi / 180] * 3)  # mm and degrees to m and rad
+_PLATE = BoxSettings(size=(0.2, 0.2, 0.05), rounding=2e-4)  # far wider than a contact, milled
 
 
 @dataclass(frozen=True)
@@ -140,9 +151,19 @@ class Sphere:
         return sign * (distance - abs(self._radius)), sign * from_center / distance[:, None]
 
 
+class Edge:
+    """The edge along x of a plate, whose top is the plane z = 0 on the side of negative y."""
+
+    _box = Box(_PLATE)
+    _corner = np.array([0.0, _PLATE.size[1] / 2, _PLATE.size[2] / 2])
+
+    def query(self, points: Array) -> tuple[Array, Array]:
+        return self._box.query(points + self._corner)
+
+
 def collect(
     sensor: TacTip, settings: CollectionSettings, seed: int, index: int,
-    variation: VariationSettings | None = None,
+    variation: VariationSettings | None = None, edge: EdgeSampling | None = None,
 ) -> Sample:  # fmt: skip
     """Collect sample `index` with a sensor, whose contact history is forgotten first."""
     rng = sample_rng(seed, index)
@@ -153,8 +174,12 @@ def collect(
     sensor.reset(seed=int(rng.integers(2**63)))
     sensor.friction = friction
     least, largest = settings.curvature
-    press_then_shear(sensor, pose + noise, settings.clearance, float(rng.uniform(least, largest)),
-                     Mounting.of(settings))  # fmt: skip
+    curvature, mounting = float(rng.uniform(least, largest)), Mounting.of(settings)
+    if edge is None:
+        press_then_shear(sensor, pose + noise, settings.clearance, curvature, mounting)
+    else:
+        pressed, pose = contact_poses(settings, edge, seed, index)
+        press_on_edge(sensor, pressed + noise, pose + noise, settings.clearance, mounting)
     image, markers, truth = sensor.image(), sensor.marker_pixels, sensor.truth()
     if variation is not None:
         image, markers = varied(image, markers, variation, truth.depth, rng)
@@ -206,12 +231,31 @@ def press_then_shear(
         sensor.advance(surface, T if mounting is None else mounting.place(T))
 
     x, y, z, alpha, beta, gamma = pose
-    # {f} has z into the surface, and its origin at the dome's centre at first touch
-    T_surface_f = se3.pose_from_euler([0.0, 0.0, sensor.settings.skin.radius, np.pi, 0.0, 0.0])
+    T_surface_f = _contact_frame(sensor)
     for depth in (-clearance, z):
         move(T_surface_f @ se3.pose_from_euler([0.0, 0.0, depth, alpha, beta, 0.0]))
     turned = T_surface_f @ se3.pose_from_euler([0.0, 0.0, z, alpha, beta, gamma])
     move(along_surface(x, -y, curvature) @ turned)
+
+
+def press_on_edge(
+    sensor: TacTip, pressed: Array, sheared: Array, clearance: float = 1e-3, mounting: Mounting | None = None
+) -> None:
+    """Bring a sensor to surface contact poses (6,) on an `Edge`, m and rad: pressed, then sheared.
+
+    x of {f} is along the edge, y over the plate.
+    """
+    edge, T_surface_f = Edge(), _contact_frame(sensor)
+    above = pressed.copy()
+    above[2] = -clearance
+    for pose in (above, pressed, sheared):
+        T = T_surface_f @ se3.pose_from_euler(pose)
+        sensor.advance(edge, T if mounting is None else mounting.place(T))
+
+
+def _contact_frame(sensor: TacTip) -> Array:
+    """T_surface_f (4, 4): {f} has z into the surface, its origin at the dome's centre at first touch."""
+    return se3.pose_from_euler([0.0, 0.0, sensor.settings.skin.radius, np.pi, 0.0, 0.0])
 
 
 def along_surface(x: float, y: float, curvature: float) -> Array:
@@ -235,12 +279,15 @@ class Collector:
         The sensors, which take turns; their step is replaced by that of `settings`.
     variation
         How the images differ from those of an exactly known sensor; None: not at all.
+    edge
+        Where contacts on an edge lie; None: they are on a surface.
     """
 
     settings: CollectionSettings
     seed: int
     sensors: tuple[TacTipSettings, ...] = (TacTipSettings(),)
     variation: VariationSettings | None = None
+    edge: EdgeSampling | None = None
 
     def __call__(self, index: int) -> Sample:
         if getattr(_of_thread, "collector", None) is not self:
@@ -250,7 +297,7 @@ class Collector:
             sensor = self.sensors[number]
             contact = sensor.contact.replaced(max_step=self.settings.max_step)
             _of_thread.sensors[number] = TacTip(replace(sensor, contact=contact))
-        return collect(_of_thread.sensors[number], self.settings, self.seed, index, self.variation)
+        return collect(_of_thread.sensors[number], self.settings, self.seed, index, self.variation, self.edge)
 
 
 _of_thread = threading.local()  # a sensor has a history

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -35,7 +34,7 @@ from tactile_records.collecting.geometry import contact_frame, edge_frame
 from tactile_records.collecting.parameters import check_same_run
 from tactile_records.collecting.sample_store import found_surface
 from tactile_records.collecting.settings import TASK, CollectionGoal, DataCollectionSettings
-from tactile_scene.sampling import VALIDATION_START
+from tactile_scene.sampling import ON_EDGES, VALIDATION_START
 from tactile_scene.scene import ArmScene, BodyScene, Scene
 from tactile_scene.scene_file import load_scene
 
@@ -226,9 +225,7 @@ def defaults(arm: ArmScene, touches: int, edge: bool) -> DataCollectionSettings:
     return settings.replaced(
         edge__pressed=True,
         edge__tip_radius=arm.sensor.settings.tip_radius,
-        sampling__depth=(3e-3, 5.5e-3),
-        sampling__disk_radius=3e-3,
-        sampling__cap_angle=math.radians(10.0),
+        **{f"sampling__{name}": value for name, value in ON_EDGES.items()},
     )
 
 

@@ -20,6 +20,7 @@ from tactile_base.config_paths import named_file
 from tactile_base.console import say
 from tactile_base.jobs import run_jobs
 from tactile_base.progress import Progress, duration
+from tactile_base.settings import SettingError
 from tactile_base.whole_file import check_folder
 from tactile_base.yaml_file import read_yaml
 from tactile_bringup.commands.changes import (
@@ -35,7 +36,7 @@ from tactile_perception.datasets.layout import FORCE_COLUMNS
 from tactile_perception.datasets.writer import DatasetWriter, as_png, write_markers, write_processed
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_records.collecting.parameters import check_same_run
-from tactile_scene.sampling import VALIDATION_START
+from tactile_scene.sampling import ON_EDGES, VALIDATION_START, EdgeSampling
 from tactile_sim.collection import CollectionSettings, Collector, SensorFile, load_sensor
 from tactile_sim.tactip import TacTip
 from tactile_sim.variation import other_sensors
@@ -55,8 +56,10 @@ def register(commands: Any) -> None:
     add("--sensors", type=positive_int, default=1, metavar="N", help=text)
     text = "keep where the markers are in each image, for networks that lay them back"
     add("--markers", action="store_true", help=text)
+    text = "on the edge of a plate in place of its face: deeper, and less sheared and tilted"
+    add("--edge", action="store_true", help=text)
     add("--config", type=Path, help="YAML file with collection settings (SI)")
-    add_set_option(parser, "change one of them")
+    add_set_option(parser, "change one of them; on an edge also edge.offset (m) and edge.direction (rad)")
 
 
 def run_generate(arguments: argparse.Namespace) -> int:
@@ -65,25 +68,36 @@ def run_generate(arguments: argparse.Namespace) -> int:
         check_folder(arguments.out)
         sensor = load_sensor(arguments.sensor) if arguments.sensor else SensorFile()
         preprocessing = _preprocessing(arguments.sensor)
-        settings = _settings(arguments, sensor.collection)
+        settings, edge = _settings(arguments, sensor.collection)
         wanted = {"train": (arguments.train, 0), "val": (arguments.val, VALIDATION_START)}
         if arguments.train is None and arguments.val is None:
             wanted = {"train": (6000, 0), "val": (2000, VALIDATION_START)}
         for name, (count, start) in wanted.items():
             if count:
-                _generate_split(arguments, sensor, preprocessing, settings, name, count, start, console)
+                _generate_split(arguments, sensor, preprocessing, settings, edge, name, count, start, console)
     except KeyboardInterrupt:
         console.print("interrupted; the same command goes on from here")
         return 130
     return 0
 
 
-def _settings(arguments: argparse.Namespace, settings: CollectionSettings) -> CollectionSettings:
+def _settings(
+    arguments: argparse.Namespace, settings: CollectionSettings
+) -> tuple[CollectionSettings, EdgeSampling | None]:
     """Collection settings from the sensor's file, the given file and the command line, the last one first."""
+    if arguments.edge:
+        settings = settings.replaced(**ON_EDGES)
     if arguments.config:
         root = read_yaml(arguments.config)
         settings = root.checked(CollectionSettings, {**dataclasses.asdict(settings), **root.values})
-    return settings.replaced(**changed_settings(arguments.changes, "cap_angle=0.3"))
+    changes = changed_settings(arguments.changes, "cap_angle=0.3")
+    if not arguments.edge:
+        return settings.replaced(**changes), None
+    of_edge = {name.removeprefix("edge."): changes.pop(name) for name in list(changes) if "edge." in name}
+    settings = settings.replaced(**changes)
+    if any(settings.curvature):
+        raise SettingError(f"curvature = {settings.curvature}: a plate with an edge is flat; must be (0, 0)")
+    return settings, EdgeSampling.from_mapping(of_edge)
 
 
 def _preprocessing(sensor: str | None) -> PreprocessingSettings:
@@ -98,6 +112,7 @@ def _generate_split(
     sensor: SensorFile,
     preprocessing: PreprocessingSettings,
     settings: CollectionSettings,
+    edge: EdgeSampling | None,
     name: str,
     count: int,
     start: int,
@@ -106,6 +121,8 @@ def _generate_split(
     folder = arguments.out / name
     parameters = {"robot": "sim", "seed": arguments.seed, **dataclasses.asdict(settings)}
     parameters["sensor"] = dataclasses.asdict(sensor.sensor)
+    if edge is not None:
+        parameters["edge"] = dataclasses.asdict(edge)
     if sensor.variation is not None:
         parameters["variation"] = dataclasses.asdict(sensor.variation)
     if arguments.sensors > 1:
@@ -118,10 +135,10 @@ def _generate_split(
     started = time.monotonic()
     with DatasetWriter(folder, preprocessing, extra=FORCE_COLUMNS) as writer:
         missing = sorted(set(range(1, count + 1)) - writer.done)
-        if preprocessing.difference:
+        if preprocessing.difference or edge is not None:  # where each contact hides half of the markers
             writer.add_image(0, TacTip(sensor.sensor, arguments.seed).image())
         sensors = other_sensors(sensor.sensor, arguments.sensors, arguments.seed)
-        collector = Collector(settings, arguments.seed, sensors, sensor.variation)
+        collector = Collector(settings, arguments.seed, sensors, sensor.variation, edge)
         work = ProcessedSample(collector, preprocessing, start)
         with Progress(console) as progress:
             samples = run_jobs(work, missing, workers_of(arguments), progress.say)

@@ -15,7 +15,6 @@ from scipy.optimize import least_squares
 
 from tactile_geometry import se3
 from tactile_records.collecting.settings import EdgeSettings, TouchSettings
-from tactile_scene.sampling import SamplingSettings, pose_of
 
 Array = NDArray[np.float64]
 
@@ -80,19 +79,6 @@ def edge_frame(T_base_box: Array, size: Sequence[float], T_base_sensor: Array, r
     T_box_f[into, 3] = 0.0
     T_box_f[:3, 3] -= z * (half[into] + radius)
     return np.asarray(T_base_box @ T_box_f)
-
-
-def planned(sampling: SamplingSettings, edge: EdgeSettings, seed: int, index: int) -> tuple[Array, Array]:
-    """Contact poses (6,), m and rad, of a sample: pressed down, and after the shear, by seed and number."""
-    sheared = pose_of(sampling, seed, index)
-    pressed = sheared.copy()
-    pressed[[0, 1, 5]] = 0.0
-    if edge.pressed:
-        rng = np.random.default_rng([seed, index, 1])  # beside the stream that `pose_of` draws from
-        pressed[1] = rng.uniform(edge.offset[0], edge.offset[1])
-        pressed[5] = rng.uniform(-edge.direction, edge.direction)
-        sheared[[1, 5]] += pressed[[1, 5]]
-    return pressed, sheared
 
 
 def above(pressed: Array, gap: float) -> Array:

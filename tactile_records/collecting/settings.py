@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,7 +23,7 @@ from tactile_control.watchdog import WatchdogSettings
 from tactile_perception.datasets.writer import IMAGE_KINDS
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.estimating.presence import PresenceSettings
-from tactile_scene.sampling import SamplingSettings, check_ordered
+from tactile_scene.sampling import EdgeSampling, SamplingSettings
 
 Array = NDArray[np.float64]
 
@@ -162,18 +161,10 @@ class TouchSettings(Settings):
 
 
 @dataclass(frozen=True)
-class EdgeSettings(Settings):
+class EdgeSettings(EdgeSampling):
     """Contacts on a straight edge in place of a flat surface."""
 
     pressed: bool = setting(False, doc="on an edge: x of {f} is along it, y to the side where the plate is")
-    offset: tuple[float, ...] = setting(
-        (-5e-3, 6e-3), unit="m", lower=-0.02, upper=0.02, length=2,
-        doc="least and largest y of a contact before the shear; below 0 the tip's middle is beside the plate",
-    )  # fmt: skip
-    direction: float = setting(
-        math.radians(170.0), unit="rad", lower=0.0, upper=math.radians(175.0),
-        doc="largest gamma before the shear; less where the wrist cannot turn all round",
-    )  # fmt: skip
     reach: float = setting(
         0.01, unit="m", lower=1e-3, upper=0.1,
         doc="touches that find the edge are so far beside the plate, and half as far; the others are on it",
@@ -184,7 +175,6 @@ class EdgeSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_ordered(self, "offset")
         if self.reach > 0.8 * self.tip_radius:
             raise SettingError(
                 f"reach = {self.reach:g} m: a tip of {self.tip_radius:g} m would meet the edge with its "

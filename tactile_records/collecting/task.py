@@ -53,6 +53,7 @@ from tactile_records.collecting.settings import (
     DataCollectionSettings,
     Target,
 )
+from tactile_scene.sampling import contact_poses
 
 Array = NDArray[np.float64]
 
@@ -350,9 +351,11 @@ class DataCollection(PhaseMachine):
         self.surface_known = found is not None
         self.T_base_f = self.T_base_f if found is None else found
 
+        edge = settings.edge if settings.edge.pressed else None
+
         def planned(number: int) -> tuple[Array, Array]:
             index = goal.first + number - 1
-            return geometry.planned(settings.sampling, settings.edge, goal.seed, index)
+            return contact_poses(settings.sampling, edge, goal.seed, index)
 
         self.targets = [Target(number, *planned(number)) for number in self.store.missing(goal.samples)]
         self.collected = 0

@@ -21,7 +21,7 @@ from tactile_records.collecting.settings import (
     TouchSettings,
 )
 from tactile_records.collecting.task import DataCollection
-from tactile_scene.sampling import SamplingSettings, pose_of
+from tactile_scene.sampling import SamplingSettings, contact_poses, pose_of
 from tactile_scene.shapes.box import Box, BoxSettings
 
 BOX = Box(BoxSettings(size=(0.12, 0.08, 0.02), rounding=1e-6))
@@ -67,11 +67,11 @@ def test_a_sensor_beside_the_box_has_no_edge_below():
 def test_poses_are_those_of_a_surface_moved_across_the_edge_and_turned():
     sampling = SamplingSettings()
     for index in range(50):
-        pressed, sheared = geometry.planned(sampling, EDGE, 3, index)
+        pressed, sheared = contact_poses(sampling, EDGE, 3, index)
         plain = pose_of(sampling, 3, index)
         np.testing.assert_allclose(sheared - pressed, plain * [1, 1, 0, 0, 0, 1], atol=1e-12)
         assert EDGE.offset[0] <= pressed[1] <= EDGE.offset[1] and abs(pressed[5]) <= EDGE.direction
-        flat, same = geometry.planned(sampling, EdgeSettings(), 3, index)
+        flat, same = contact_poses(sampling, None, 3, index)
         np.testing.assert_array_equal(same, plain)
         np.testing.assert_array_equal(flat, plain * [0, 0, 1, 1, 1, 0])
 
