@@ -14,6 +14,7 @@ from clusters import local_cluster
 
 from tactile_bringup.commands import data as data_command
 from tactile_perception.datasets.dataset import read_dataset
+from tactile_perception.datasets.layout import REFERENCE_NAME
 
 
 def generate(out: Path, *options: str) -> int:
@@ -143,14 +144,31 @@ def test_another_seed_does_not_mix_into_a_folder(data, capsys):
 
 
 @pytest.mark.parametrize(
-    "change, message",
-    [("dpeth=1", "did you mean 'depth'"), ("cap_angle=9", "cap_angle = 9"), ("depth", "NAME=VALUE")],
+    "options, message",
+    [
+        (("--set", "dpeth=1"), "did you mean 'depth'"),
+        (("--set", "cap_angle=9"), "cap_angle = 9"),
+        (("--set", "depth"), "NAME=VALUE"),
+        (("--set", "edge.offset=[0,1e-3]"), "edge.offset"),
+        (("--edge", "--set", "edge.offest=1"), "did you mean 'offset'"),
+        (("--edge", "--set", "curvature=[0,10]"), "must be (0, 0)"),
+    ],
 )
-def test_a_wrong_setting_is_told(tmp_path, capsys, change, message):
-    assert generate(tmp_path, "--set", change) == 1
+def test_a_wrong_setting_is_told(tmp_path, capsys, options, message):
+    assert generate(tmp_path, *options) == 1
     assert message in capsys.readouterr().err
 
 
 def test_only_the_part_that_is_asked_for_is_made(tmp_path):
     assert generate(tmp_path, "--train", "2", "--seed", "5") == 0
     assert not (tmp_path / "val").exists()
+
+
+def test_on_an_edge_labels_lie_in_its_ranges_and_the_sensor_at_rest_is_kept(tmp_path):
+    ranges = ("--set", "edge.offset=[1e-3,2e-3]", "--set", "disk_radius=5e-4")
+    assert generate(tmp_path, "--train", "4", "--edge", *ranges) == 0
+    samples = read_dataset(tmp_path / "train")
+    _, y, z, _, _, gamma = samples.euler_mm_deg.T
+    assert np.all((y >= 0.5) & (y <= 2.5)) and np.all((z >= 3.0) & (z <= 5.5))
+    assert np.ptp(gamma) > 20.0
+    assert (tmp_path / "train" / "processed_images" / REFERENCE_NAME).exists()

@@ -1,4 +1,4 @@
-"""Simulated contacts on an edge: as on a plate far from it, as an arm collects them, and nothing beside it."""
+"""Simulated contacts on an edge: as on a plate far from it, as an arm makes them, and none beside it."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tactile_sim.tactip import TacTip
 
 SETTINGS = CollectionSettings().replaced(**ON_EDGES)
 PRESSED = np.array([0.0, 2e-3, 4e-3, 0.05, -0.1, 0.6])
-SHEARED = PRESSED + [1e-3, -5e-4, 0.0, 0.0, 0.0, 0.03]
+SHEARED = PRESSED + np.array([1e-3, -5e-4, 0.0, 0.0, 0.0, 0.03])
 
 
 @pytest.fixture(scope="module")
