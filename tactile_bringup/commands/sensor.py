@@ -35,7 +35,7 @@ CONTACTS = (125, 250, 500, 1000, 2000)
 PROMISE, EDGE_PROMISE = ("depth=0.3", "tilt=2"), ("depth=0.3", "offset=0.5", "direction=5")
 EDGE_MODEL = "training.model=edge"
 CONFIG = "perception/few_contacts.yaml"
-SECONDS = 2.5  # of a contact
+SECONDS, EDGE_SECONDS = 2.5, 3.5  # of a contact in simulation
 
 
 def register(subparsers: Any) -> None:
@@ -80,7 +80,8 @@ def run(arguments: argparse.Namespace) -> int:
     words = _checked(arguments)
     parts, promised = (learning.EDGE_PARTS, EDGE_PROMISE) if arguments.edge else (learning.PARTS, PROMISE)
     promise = learning.Promise.parse(arguments.promise or promised, parts)
-    hours = arguments.contacts[0] * SECONDS / 3600.0, arguments.contacts[-1] * SECONDS / 3600.0
+    hour = 3600.0 / (EDGE_SECONDS if arguments.edge else SECONDS)  # in contacts
+    hours = arguments.contacts[0] / hour, arguments.contacts[-1] / hour
     say(
         console,
         f"the arm presses and shears the sensor on {'an edge' if arguments.edge else 'a flat surface'}: "

@@ -134,6 +134,18 @@ force:
     np.testing.assert_allclose(read_dataset(tmp_path / "ours").euler_mm_deg, EULER, atol=1e-12)
 
 
+def test_a_mapping_that_names_move_columns_as_shear_is_taken_at_its_word(tmp_path):
+    """Without a mapping a move ends at the pose, which then counts alone."""
+    rows = [[name, *map(repr, (0.5 * row).tolist())] for name, row in zip(images(), EULER, strict=True)]
+    write_csv(tmp_path / "theirs" / "table.csv", ["file", "pose_2", "move_2", *"abcd"], rows)
+    write_images(tmp_path / "theirs", images(), (60, 80), binary=False)
+    text = "table: table.csv\nimage: file\npose: {y: {column: pose_2}}\nshear: {y: {column: move_2}}"
+    imported, _ = import_folder(
+        tmp_path / "theirs", tmp_path / "ours", read_mapping(mapping_file(tmp_path, text))
+    )
+    np.testing.assert_allclose(imported.euler_mm_deg[:, 1], 0.5 * (EULER[:, 0] + EULER[:, 1]), atol=1e-12)
+
+
 def test_signs_and_units_of_a_folder_come_before_what_its_poses_are_turned_by(tmp_path):
     folder = public_folder(tmp_path / "theirs")
     (folder / "conventions.json").write_text('{"flip": ["beta"], "length_unit": "m"}')

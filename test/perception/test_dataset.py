@@ -33,6 +33,16 @@ def folder(tmp_path: Path) -> Path:
     return write_folder(tmp_path / "data", zip(map(camera_image, range(1, 4)), EULER, strict=True))
 
 
+def of_camera_images(folder: Path, raw: Path) -> Path:
+    """The same samples as camera images."""
+    (raw / "images").mkdir(parents=True)
+    for number in (1, 2, 3):
+        cv2.imwrite(str(raw / "images" / f"image_{number}.png"), camera_image(number))
+    for name in ("targets_images.csv", "processed_image_params.json"):
+        (raw / name).write_bytes((folder / name).read_bytes())
+    return raw
+
+
 def table(folder: Path) -> list[dict[str, str]]:
     with (folder / "targets_images.csv").open(newline="") as file:
         return list(csv.DictReader(file))
@@ -200,12 +210,7 @@ def test_a_table_without_labels_is_an_error_that_lists_its_columns(folder):
 
 
 def test_a_folder_of_camera_images_gives_the_same_inputs(folder, tmp_path):
-    raw = tmp_path / "raw"
-    (raw / "images").mkdir(parents=True)
-    for number in (1, 2, 3):
-        cv2.imwrite(str(raw / "images" / f"image_{number}.png"), camera_image(number))
-    for name in ("targets_images.csv", "processed_image_params.json"):
-        (raw / name).write_bytes((folder / name).read_bytes())
+    raw = of_camera_images(folder, tmp_path / "raw")
     np.testing.assert_array_equal(read_dataset(raw).images, read_dataset(folder).images)
 
 
@@ -346,6 +351,14 @@ def test_the_image_without_contact_is_no_stray_and_can_be_had(folder):
     assert source.reference().shape == (440, 445)
     assert read_dataset(folder).rest.shape == read_dataset(folder).images.shape[1:]
     assert open_folder(folder).names == ["image_1.png", "image_2.png", "image_3.png"]
+
+
+@pytest.mark.parametrize("content", [b"cut", cv2.imencode(".png", np.zeros((48, 64), np.uint8))[1].tobytes()])
+def test_an_image_without_contact_that_is_damaged_or_too_small_is_done_without(folder, tmp_path, content):
+    raw = of_camera_images(folder, tmp_path / "raw")
+    (raw / "images" / "image_0.png").write_bytes(content)
+    data = read_dataset(raw)
+    assert data.rest is None and len(data) == 3
 
 
 def test_processed_images_of_another_size_are_taken_as_they_are_and_said(folder):
