@@ -319,11 +319,13 @@ def test_a_hundred_contacts_are_enough_for_their_configuration(dots, tmp_path):
     assert Estimator(result.model_path).metadata.calibration.samples == 20
 
 
-def test_the_shipped_start_fits_the_configuration_that_it_is_for():
-    start, real = (
-        TrainConfig.from_file(CONFIGS / name) for name in ("gdn_simulated_start.yaml", "gdn_symmetry.yaml")
-    )
-    assert start.network.replaced(head=real.network.head) == real.network
+@pytest.mark.parametrize(
+    "start, real",
+    [("gdn_simulated_start", "gdn_symmetry"), ("few_contacts_start", "few_contacts")],
+)
+def test_a_shipped_start_fits_the_configuration_that_it_is_for(start, real):
+    started, used = (TrainConfig.from_file(CONFIGS / f"{name}.yaml") for name in (start, real))
+    assert started.network.replaced(head=used.network.head) == used.network
 
 
 @pytest.mark.parametrize(
