@@ -57,11 +57,6 @@ class Quantity:
     high: float
 
     @property
-    def of_pose(self) -> bool:
-        """Whether it is a component of the contact pose."""
-        return self.name in EULER_COMPONENTS
-
-    @property
     def turns(self) -> bool:
         """Whether it is an angle that goes all round, so that its ends are the same."""
         return self.unit == "deg" and self.high - self.low >= 360.0

@@ -134,12 +134,6 @@ def gaussian_from_root(mean: Array, root: Array) -> PoseGaussian:
     return PoseGaussian(se3.exp(xi), root @ root.T)
 
 
-def network_row(gaussian: PoseGaussian) -> tuple[Array, Array]:
-    """Mean and standard deviations (6,) of xi_sf in mm and rad of a left-perturbation Gaussian (SI)."""
-    mean, cov = tangent_gaussian(gaussian)
-    return mean, np.sqrt(np.diag(cov))
-
-
 def tangent_gaussian(gaussian: PoseGaussian) -> tuple[Array, Array]:
     """Mean (6,) and covariance (6, 6) of xi_sf in mm and rad of a left-perturbation Gaussian (SI).
 

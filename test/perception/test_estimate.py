@@ -18,9 +18,9 @@ from tactile_perception.estimating.estimator import Estimator, shipped_model
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.labels import (
     label_from_euler,
-    network_row,
     pose_gaussian,
     surface_contact_pose,
+    tangent_gaussian,
 )
 from tactile_perception.estimating.run import EstimateTable, run_estimates
 from tactile_perception.estimating.sources import (
@@ -94,9 +94,9 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def test_deviations_survive_the_way_through_the_left_perturbation():
     mean = np.array([1.0, -2.0, -3.0, 0.3, -0.2, 0.1])
-    recovered, sigma = network_row(pose_gaussian(mean, np.diag(INVERSE_SIGMA**-2)))
+    recovered, covariance = tangent_gaussian(pose_gaussian(mean, np.diag(INVERSE_SIGMA**-2)))
     np.testing.assert_allclose(recovered, mean, atol=1e-9)
-    np.testing.assert_allclose(sigma, 1.0 / INVERSE_SIGMA, rtol=1e-9)
+    np.testing.assert_allclose(covariance, np.diag(INVERSE_SIGMA**-2), rtol=1e-9, atol=1e-9)
 
 
 def test_filter_reduces_errors_where_the_motion_is_known():
