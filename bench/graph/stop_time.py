@@ -29,11 +29,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from shared import Table, busy, parser
 
-from tactile_bringup.graph import GraphOptions, load_graph
 from tactile_bringup.launching.environment import free_domain_id
 from tactile_bringup.launching.operator import Operator
-from tactile_bringup.launching.processes import ProcessGroup
-from tactile_bringup.launching.task_client import TaskClient
 from tactile_msgs.msg import ArmStatus
 
 CLI = [sys.executable, "-m", "tactile_bringup.cli"]
@@ -100,55 +97,33 @@ class Nodes:
     """The nodes of a task, running, and goals for all of its arms."""
 
     def __init__(self, task: str, scene: str, folder: Path, variables: dict[str, str]) -> None:
-        self._graph = load_graph(task, scene, GraphOptions(priority=PRIORITY))
-        self._group = ProcessGroup()
-        for node in self._graph.nodes:
-            file = folder / f"{node.file_stem}.yaml"
-            file.write_text(node.parameter_text())
-            log = folder / f"{node.file_stem}.log"
-            self._group.start(node.full_name, node.command(file), variables, log)
-        self._client = TaskClient(int(variables["ROS_DOMAIN_ID"]))
-        self._names = [node.full_name for node in self._graph.nodes]
-        self._turn(lambda: not self._client.inactive(self._names, time.monotonic()))
-
-    def _turn(self, holds: Callable[[], bool]) -> None:
-        end = time.monotonic() + PATIENCE
-        while not holds():
-            if time.monotonic() > end:
-                arms = [self._client.arm(plan.arm) for plan in self._graph.plans]
-                raise TimeoutError(f"it never held; {[f'{a.arm}: {a.last_word()}' for a in arms]}")
-            self._client.spin(0.01)
+        launch = [*CLI, "launch", task, "--scene", scene, "--nodes-only", "--priority", str(PRIORITY)]
+        self._run = [*CLI, "run", task, "--scene", scene, "--headless"]
+        self._given = {"env": variables, "stdout": (folder / "log").open("w"), "stderr": subprocess.STDOUT}
+        self._launched = subprocess.Popen(
+            [*launch, "--headless", "--out", str(folder / "run")], **self._given
+        )
+        self._task: subprocess.Popen[bytes] | None = None
 
     def move(self, operator: Operator) -> None:
         """Have all arms in motion."""
-        for plan in self._graph.plans:
-            arm = self._client.arm(plan.arm)
-            self._turn(lambda arm=arm: arm.ready and arm.rests_for() > 0.2)
-            arm.send(plan.goals[0], plan.role.task)
-
-        def moves() -> bool:
-            self._client.spin(0.0)
-            for plan in self._graph.plans:
-                if ended := self._client.arm(plan.arm).result():
-                    raise RuntimeError(f"{plan.arm}: {ended.reason}")
-            return all_move(operator)
-
-        wait(operator, moves)
+        self._task = subprocess.Popen(self._run, **self._given)
+        wait(operator, lambda: all_move(operator))
 
     def go_on(self, operator: Operator) -> None:
         """Leave the emergency stop, once the goals have ended."""
-        for plan in self._graph.plans:
-            arm = self._client.arm(plan.arm)
-            self._turn(lambda arm=arm: arm.result() is not None)
-            operator.reset(plan.arm)
+        self._task.wait(PATIENCE)
+        for arm in operator.arms:
+            operator.reset(arm)
         seen = time.monotonic() + 0.3  # by the controllers, too
         views = operator.arms.values()
         wait(operator, lambda: not any(v.stopped for v in views) and time.monotonic() > seen)
 
     def close(self) -> None:
         """End them."""
-        self._client.close()
-        self._group.close()
+        for process in filter(None, (self._task, self._launched)):
+            process.terminate()
+            process.wait()
 
 
 def until_rest(operator: Operator, begun_s: float) -> float:
