@@ -93,7 +93,9 @@ def _settings(
     changes = changed_settings(arguments.changes, "cap_angle=0.3")
     if not arguments.edge:
         return settings.replaced(**changes), None
-    of_edge = {name.removeprefix("edge."): changes.pop(name) for name in list(changes) if "edge." in name}
+    of_edge = {
+        name.removeprefix("edge."): changes.pop(name) for name in list(changes) if name.startswith("edge.")
+    }
     settings = settings.replaced(**changes)
     if any(settings.curvature):
         raise SettingError(f"curvature = {settings.curvature}: a plate with an edge is flat; must be (0, 0)")
