@@ -245,7 +245,8 @@ def press_on_edge(
 
     x of {f} is along the edge, y over the plate.
     """
-    edge, T_surface_f = Edge(), _contact_frame(sensor)
+    T_surface_f = _contact_frame(sensor)
+    edge = Edge()  # one for all steps: what was touched on another one is forgotten
     above = pressed.copy()
     above[2] = -clearance
     for pose in (above, pressed, sheared):

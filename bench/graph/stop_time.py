@@ -97,18 +97,24 @@ class Nodes:
     """The nodes of a task, running, and goals for all of its arms."""
 
     def __init__(self, task: str, scene: str, folder: Path, variables: dict[str, str]) -> None:
-        launch = [*CLI, "launch", task, "--scene", scene, "--nodes-only", "--priority", str(PRIORITY)]
+        launch = [*CLI, "launch", task, "--scene", scene, "--headless", "--nodes-only"]
+        launch += ["--priority", str(PRIORITY), "--out", str(folder / "run")]
         self._run = [*CLI, "run", task, "--scene", scene, "--headless"]
-        self._given = {"env": variables, "stdout": (folder / "log").open("w"), "stderr": subprocess.STDOUT}
-        self._launched = subprocess.Popen(
-            [*launch, "--headless", "--out", str(folder / "run")], **self._given
-        )
+        self._log = folder / "log"
+        self._given = {"env": variables, "stdout": self._log.open("w"), "stderr": subprocess.STDOUT}
+        self._launched = subprocess.Popen(launch, **self._given)
         self._task: subprocess.Popen[bytes] | None = None
 
     def move(self, operator: Operator) -> None:
         """Have all arms in motion."""
-        self._task = subprocess.Popen(self._run, **self._given)
-        wait(operator, lambda: all_move(operator))
+        task = self._task = subprocess.Popen(self._run, **self._given)
+
+        def moves() -> bool:
+            if task.poll() is not None:
+                raise RuntimeError(f"the task has ended: {self._log.read_text()}")
+            return all_move(operator)
+
+        wait(operator, moves)
 
     def go_on(self, operator: Operator) -> None:
         """Leave the emergency stop, once the goals have ended."""
@@ -124,6 +130,7 @@ class Nodes:
         for process in filter(None, (self._task, self._launched)):
             process.terminate()
             process.wait()
+        self._given["stdout"].close()
 
 
 def until_rest(operator: Operator, begun_s: float) -> float:
