@@ -32,6 +32,7 @@ EXIT_CODES = (
     "made; others as of `tactile launch`"
 )
 CONTACTS = (125, 250, 500, 1000, 2000)
+FOLDS = 5  # a fifth of 100 is what calibrates a network at least
 PROMISE, EDGE_PROMISE = ("depth=0.3", "tilt=2"), ("depth=0.3", "offset=0.5", "direction=5")
 EDGE_MODEL = "training.model=edge"
 CONFIG = "perception/few_contacts.yaml"
@@ -57,6 +58,10 @@ def register(subparsers: Any) -> None:
     add("--start", type=Path, metavar="RUN", help="begin each network with that of a finished run")
     add_set_option(parser, "of the networks or of the collection, by section", "SECTION.NAME=VALUE")
     add("--collection", type=Path, metavar="FILE", help="settings of the collection (docs/data.md)")
+    text = (
+        f"networks of a round that each leave out another part, joined in one model ({FOLDS}); 1: one network"
+    )
+    add("--folds", type=positive_int, default=FOLDS, metavar="N", help=text)
     add("--arm", metavar="NAME", help="which arm (default: the one with a camera)")
     add("--surface", metavar="NAME", help="which surface (default: the only plane)")
     data_collect.add_edge_option(parser)
@@ -137,9 +142,13 @@ def _checked(arguments: argparse.Namespace) -> list[str]:
             raise SettingError(f"--set {change}: {unknown_name(section, [*networks, *collection])}")
     changes = [EDGE_MODEL] * arguments.edge
     changes += [each for each in arguments.changes if each.partition(".")[0] in networks]
-    _check_rounds(list(arguments.contacts), TrainConfig.from_file(config).changed(changes))
-    start = ["--start", str(arguments.start.absolute())] if arguments.start else []
-    return ["--config", str(config), *start, *(word for each in changes for word in ("--set", each))]
+    chosen = TrainConfig.from_file(config).changed(changes)
+    if arguments.folds > 1 and chosen.training.holdback:
+        chosen = chosen.replaced(training__holdback=1.0 / arguments.folds)
+    _check_rounds(list(arguments.contacts), chosen)
+    words = ["--start", str(arguments.start.absolute())] if arguments.start else []
+    words += ["--folds", str(arguments.folds)] if arguments.folds > 1 else []
+    return ["--config", str(config), *words, *(word for each in changes for word in ("--set", each))]
 
 
 def _check_rounds(totals: list[int], config: TrainConfig) -> None:
@@ -151,7 +160,7 @@ def _check_rounds(totals: list[int], config: TrainConfig) -> None:
     if totals != sorted(set(totals)) or totals[0] < least:
         raise ValueError(
             f"--contacts {' '.join(map(str, totals))}: must grow, from at least {least} on: a fifth is held "
-            f"back to judge by, and training.holdback = {part:g} of the rest has to be {fewest} and more"
+            f"back to judge by, and {part:g} of the rest, which calibrates, has to be {fewest} and more"
         )
 
 

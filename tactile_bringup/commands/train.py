@@ -47,8 +47,15 @@ def register(subparsers: Any) -> None:
     add("--model", metavar="NAME", help=text + "package's (`tactile plugins --all`)")
     add("--limit", type=positive_int, metavar="N", help="use only N training samples")
     add("--install", type=Path, metavar="FILE", help="copy the exported model to FILE")
-    add("--repeat", type=positive_int, metavar="N", help="N networks of other seeds, in OUT/seed_0 and on")
-    add_job_options(parser, default=1, those="with --repeat: ")
+    several = parser.add_mutually_exclusive_group()
+    text = "N networks of other seeds, in OUT/seed_0 and on"
+    several.add_argument("--repeat", type=positive_int, metavar="N", help=text)
+    text = (
+        "N networks that each hold back another part of the data, in OUT/fold_0 and on, joined in one model "
+    )
+    text += "that all the data calibrate: for some hundred contacts"
+    several.add_argument("--folds", type=positive_int, metavar="N", help=text)
+    add_job_options(parser, default=1, those="with --repeat or --folds: ")
     _register_ensemble(subparsers)
 
 
@@ -64,6 +71,8 @@ def run_train(arguments: argparse.Namespace) -> int:
 
     A run that was interrupted goes on when the same command is given again.
     """
+    if arguments.folds is not None:
+        return _train_folds(arguments)
     return _train_one(arguments) if arguments.repeat is None else _train_many(arguments)
 
 
@@ -87,7 +96,7 @@ def _train_one(arguments: argparse.Namespace) -> int:
     from tactile_perception.training.train import train
 
     if arguments.scheduler or arguments.jobs != 1:
-        raise ValueError("--jobs and --scheduler spread many runs: they need --repeat N")
+        raise ValueError("--jobs and --scheduler spread many runs: they need --repeat or --folds")
     config = _config(arguments)
     if arguments.install:
         check_file(arguments.install)
@@ -125,12 +134,17 @@ def _print_result(out: Path) -> None:
     from tactile_perception.training.run_folder import RunFolder
 
     console, result = Console(), RunFolder(out).result()
-    loss = f"{result['loss']} {result['validation_loss']:.3f}"
-    table = number_table(f"epoch {result['best_epoch']} of {result['epochs']}: {loss}", ["component", "MAE"])
+    if "folds" in result:
+        title, stopped = f"{result['folds']} networks, each on what it held back", ""
+    else:
+        loss = f"{result['loss']} {result['validation_loss']:.3f}"
+        title = f"epoch {result['best_epoch']} of {result['epochs']}: {loss}"
+        stopped = f"; stopped: {result['stopped']}"
+    table = number_table(title, ["component", "MAE"])
     for name, unit in _units(result).items():
         table.add_row(name, f"{result['mae'][name]:.4f} {unit}" if name in result["mae"] else "not labelled")
     console.print(table)
-    say(console, f"{result['minutes']:.1f} min; stopped: {result['stopped']}")
+    say(console, f"{result['minutes']:.1f} min{stopped}")
     say(console, f"run: {out} (model: {out / MODEL_NAME})")
 
 
@@ -149,6 +163,41 @@ def _train_many(arguments: argparse.Namespace) -> int:
     runs = jobs.seed_jobs(
         arguments.data, arguments.out, _config(arguments), arguments.repeat, arguments.val, arguments.limit
     )
+    errors = _train_all(runs, arguments, console)
+    _print_repeat(arguments.out, runs)
+    if _quantized(arguments):
+        for job in runs:
+            if job.folder.finished and not job.folder.file(QUANTIZED_NAME).exists():
+                quantize_run(job.folder.path, arguments.data, arguments.val)
+    return 1 if errors else 0
+
+
+def _train_folds(arguments: argparse.Namespace) -> int:
+    from tactile_perception.training import jobs
+    from tactile_perception.training.ensemble import write_folds
+    from tactile_perception.training.run_folder import RunFolder
+
+    if arguments.folds < 2 or arguments.limit or _quantized(arguments):
+        raise ValueError("--folds takes two and more, and neither --limit nor a profile of 8-bit integers")
+    folder = RunFolder(arguments.out)
+    folder.check_free()
+    if arguments.install:
+        check_file(arguments.install)
+    runs = jobs.fold_jobs(arguments.data, arguments.out, _config(arguments), arguments.folds, arguments.val)
+    if _train_all(runs, arguments, Console(stderr=True)):
+        return 1
+    paths = [job.folder.path for job in runs]
+    folder.finish_folds(paths, write_folds(paths, folder.file(MODEL_NAME), arguments.data))
+    _print_result(arguments.out)
+    if arguments.install:
+        copy_whole(folder.file(MODEL_NAME), arguments.install)
+    return 0
+
+
+def _train_all(runs: Sequence[Any], arguments: argparse.Namespace, console: Console) -> list[str]:
+    """Train those that are not there yet; why some came to nothing."""
+    from tactile_perception.training import jobs
+
     waiting = jobs.unfinished(runs)
     if len(waiting) < len(runs):
         say(console, f"{len(runs) - len(waiting)} of {len(runs)} runs are already there")
@@ -170,12 +219,7 @@ def _train_many(arguments: argparse.Namespace) -> int:
             if done.value is not None:
                 jobs.store_files(done.job, done.value)
             report(done.job, "" if done.error is None else in_words(done.error))
-    _print_repeat(arguments.out, runs)
-    if _quantized(arguments):
-        for job in runs:
-            if job.folder.finished and not job.folder.file(QUANTIZED_NAME).exists():
-                quantize_run(job.folder.path, arguments.data, arguments.val)
-    return 1 if errors else 0
+    return errors
 
 
 def _train_here(job: Any, console: Console) -> str:

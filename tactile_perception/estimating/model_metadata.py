@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +215,9 @@ def _check_holdback(values: Mapping[str, Any]) -> None:
     part = values.get("holdback", 0.0)
     if not isinstance(part, int | float) or not 0.0 <= part < 1.0:
         raise MetadataError(f"holdback is {shown(part)}, must be a part of the data, 0 to 1")
+    fold = values.get("fold", 0)
+    if not isinstance(fold, int) or not 0 <= fold < 1000:
+        raise MetadataError(f"fold is {shown(fold)}, must be a whole number, which part is held back")
 
 
 def summed(data: bytes) -> bytes:
@@ -235,11 +239,14 @@ def check_sum(data: bytes) -> bool:
     return True
 
 
-def split_holdback(count: int, part: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows to train on, and rows held out; the same for every seed, so that ensembles share them."""
-    order = np.random.default_rng(0).permutation(count)
-    number = round(part * count)
-    return np.sort(order[number:]), np.sort(order[:number])
+def split_holdback(count: int, part: float, fold: int = 0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows to train on, and rows held out; the same for every seed, so that ensembles share them.
+
+    `fold` says which: the first 1 / part of them hold out each row once.
+    """
+    begin, end = (round(each * part * count) for each in (fold, fold + 1))
+    order = np.roll(np.random.default_rng(0).permutation(count), -begin)
+    return np.sort(order[end - begin :]), np.sort(order[: end - begin])
 
 
 def unseen_rows(metadata: ModelMetadata, sha256: str, count: int) -> NDArray[np.int64]:
@@ -248,9 +255,8 @@ def unseen_rows(metadata: ModelMetadata, sha256: str, count: int) -> NDArray[np.
     All of them for other data than its training data; none where nothing was held out of those. `sha256` and
     `count` are those of the data set, as `dataset.read_dataset` finds them.
     """
-    used = _parts_held_out(metadata, sha256)
-    # The held-out samples of a smaller part are among those of a larger one.
-    return split_holdback(count, min(used))[1] if used else np.arange(count)
+    held_out = [split_holdback(count, part, fold)[1] for part, fold in _parts_held_out(metadata, sha256)]
+    return reduce(np.intersect1d, held_out, np.arange(count))
 
 
 def is_training_data(metadata: ModelMetadata, sha256: str) -> bool:
@@ -258,12 +264,15 @@ def is_training_data(metadata: ModelMetadata, sha256: str) -> bool:
     return bool(_parts_held_out(metadata, sha256))
 
 
-def _parts_held_out(metadata: ModelMetadata, sha256: str) -> list[float]:
-    """What part of a data set each network held out that was trained on it; empty for other data."""
+def _parts_held_out(metadata: ModelMetadata, sha256: str) -> list[tuple[float, int]]:
+    """What part of a data set, and which, each network held out that was trained on it; empty for others."""
     data, runs = metadata.training_data, metadata.training.get("members", [metadata.training])
-    parts = [float(run.get("training", {}).get("holdback", 0.0)) for run in runs]
-    used = [] if data.get("sha256") != sha256 else parts
+    used = [_held_out(run.get("training", {})) for run in runs] if data.get("sha256") == sha256 else []
     while "start" in data:  # what an earlier network learned from, this one has seen, too
         data = data["start"]
-        used += [float(data.get("holdback", 0.0))] if data.get("sha256") == sha256 else []
+        used += [_held_out(data)] if data.get("sha256") == sha256 else []
     return used
+
+
+def _held_out(values: Mapping[str, Any]) -> tuple[float, int]:
+    return float(values.get("holdback", 0.0)), int(values.get("fold", 0))

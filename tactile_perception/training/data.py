@@ -146,7 +146,7 @@ def load_data(
         training = read_dataset(train_dir, changes=large, limit=limit, progress=progress, complete=False)
         split = None
     else:
-        whole = split_holdback(len(streamed), config.training.holdback)
+        whole = split_holdback(len(streamed), config.training.holdback, config.training.fold)
         training, split = _read_some(streamed, whole, progress)
     validation = (
         _validation(validation_dir, changes, config, progress) if validation_dir is not None else None
@@ -227,7 +227,7 @@ def arrange(
     idle = _idle(training, named)
     training = _without(training, idle)
     model = named.narrowed(training.labelled, training.report.folder)
-    kept, held_out = split or split_holdback(len(training), config.training.holdback)
+    kept, held_out = split or split_holdback(len(training), config.training.holdback, config.training.fold)
     large = training.images[kept] if config.augmentation.active else None
     samples = Samples(reduced(training.images, preprocessing.size), training.labels_for(model))
     facts = {
@@ -394,6 +394,8 @@ def load_start(run: Path | str, network: NetworkSettings) -> Start:
     folder = RunFolder(run)
     if not folder.finished:
         raise SettingError(f"training.start = {run}: is not the folder of a finished run of `tactile train`")
+    if not folder.file(BEST_NAME).exists():
+        raise SettingError(f"training.start = {run}: is of several networks; take one, as {run}/fold_0")
     config = TrainConfig.from_file(folder.file(CONFIG_NAME))
     for name in NetworkSettings.__dataclass_fields__:
         theirs, ours = getattr(config.network, name), getattr(network, name)
@@ -402,7 +404,7 @@ def load_start(run: Path | str, network: NetworkSettings) -> Start:
                 f"training.start = {run}: its network has {name} = {theirs}, this one {ours}; they must agree"
             )
     facts = parse_json(read_text(folder.file(FACTS_NAME)))
-    facts["holdback"] = config.training.holdback
+    facts |= {"holdback": config.training.holdback, "fold": config.training.fold}
     facts["weights_sha256"] = hashlib.sha256(folder.file(BEST_NAME).read_bytes()).hexdigest()
     start = Start(folder.load_best(), facts)
     return start if config.network.head == network.head else start.without_head()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -42,12 +43,30 @@ def seed_jobs(
     data: Path, out: Path, config: TrainConfig, count: int, validation: Path | None, limit: int | None
 ) -> list[Job]:
     """`count` runs that differ in their seed, each in a folder `seed_N` of `out`."""
-    jobs = []
-    for seed in range(config.training.seed, config.training.seed + count):
-        sections = config.replaced(training__seed=seed).plain()
-        where = str(validation.absolute()) if validation else None
-        jobs.append(Job(str(data.absolute()), str(out.absolute() / f"seed_{seed}"), sections, where, limit))
-    return jobs
+    where = str(validation.absolute()) if validation else None
+    return [
+        Job(
+            str(data.absolute()),
+            str(out.absolute() / f"seed_{seed}"),
+            config.replaced(training__seed=seed).plain(),
+            where,
+            limit,
+        )
+        for seed in range(config.training.seed, config.training.seed + count)
+    ]
+
+
+def fold_jobs(data: Path, out: Path, config: TrainConfig, count: int, validation: Path | None) -> list[Job]:
+    """`count` runs that each hold back another part of the data, in folders `fold_N` of `out`."""
+    jobs = seed_jobs(data, out, config, count, validation, None)
+    return [
+        dataclasses.replace(
+            job,
+            out=str(out.absolute() / f"fold_{fold}"),
+            sections=job.config.replaced(training__holdback=1.0 / count, training__fold=fold).plain(),
+        )
+        for fold, job in enumerate(jobs)
+    ]
 
 
 def unfinished(jobs: Iterable[Job]) -> list[Job]:

@@ -158,6 +158,19 @@ class RunFolder:
         _write(self.file(RESULT_NAME), json.dumps(values, indent=2) + "\n")
         self.file(STATE_NAME).unlink(missing_ok=True)
 
+    def finish_folds(self, runs: Sequence[Path], mae: NDArray[np.float64]) -> None:
+        """`result.json` of networks that are joined: their mean errors (K,) on what each held back."""
+        results = [RunFolder(run).result() for run in runs]
+        units = results[0]["units"]
+        values = {
+            "folds": len(runs),
+            "mae": {name: value for name, value in zip(units, mae.tolist(), strict=True) if value == value},
+            "units": units,
+            "not_labelled": results[0]["not_labelled"],
+            "minutes": sum(result["minutes"] for result in results),
+        }
+        _write(self.file(RESULT_NAME), json.dumps(values, indent=2) + "\n")
+
     def result(self) -> dict[str, Any]:
         """`result.json` of a finished run."""
         values: dict[str, Any] = parse_json(read_text(self.file(RESULT_NAME)))

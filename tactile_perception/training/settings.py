@@ -166,6 +166,10 @@ class TrainingSettings(Settings):
         upper=0.5,
         doc="part of the training data kept out of training to calibrate the uncertainty on at the end",
     )
+    fold: int = setting(
+        0, lower=0, upper=99,
+        doc="which part of that size is kept out; networks that leave out another each are joined by --folds",
+    )  # fmt: skip
     start: str = setting(
         "",
         doc="folder of a finished run, as one on simulated images, to start from its network; '': random",

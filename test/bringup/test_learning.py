@@ -13,6 +13,7 @@ from tactile_bringup import learning_page
 from tactile_bringup.cli import main
 from tactile_bringup.learning import EDGE_PARTS, Judged, Learning, LearningError, Promise, snapshot, with_more
 from tactile_perception.datasets.dataset import DatasetWriter, open_folder
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 
 QUICK = {
@@ -120,6 +121,19 @@ def test_the_page_shows_rounds_promise_and_examples(learned):
     text = page.read_text()
     assert "promise of depth 0.2 mm, tilt 2 deg is not kept" in text and "160 contacts would give" in text
     assert all(path.stat().st_size > 10_000 for path in pictures) and text.count("data:image/png") == 3
+
+
+def test_networks_of_folds_are_one_that_is_judged_and_go_on_after_an_interruption(words, tmp_path):
+    def stopped(folder, count, validation, enough):
+        return 130 if count > 40 else collect(folder, count, validation, enough)
+
+    folds = [*words, "--folds", "2"]
+    assert Learning(tmp_path, TOTALS, HARD, stopped, folds).run() == []
+    (found,) = Learning(tmp_path, TOTALS[:1], HARD, collect, folds).run()
+    run = tmp_path / "rounds" / "00050" / "run"
+    assert Estimator(run / "model.onnx").metadata.calibration.samples == 40
+    page, *_ = learning_page.write(tmp_path, [found], found, run, HARD)
+    assert "promise of depth 0.001 mm is not kept" in page.read_text()
 
 
 def test_on_an_edge_offset_and_direction_are_judged(words, tmp_path):

@@ -351,6 +351,17 @@ def test_data_of_the_network_that_training_started_from_count_as_seen(model_meta
     assert len(unseen_rows(metadata, "new", 100)) == 100
 
 
+@pytest.mark.parametrize("count", [100, 103])
+def test_folds_hold_out_each_row_once(model_metadata, count):
+    parts = [split_holdback(count, 0.2, fold) for fold in range(5)]
+    np.testing.assert_array_equal(np.sort(np.concatenate([each for _, each in parts])), np.arange(count))
+    for fold, (kept, rows) in enumerate(parts):
+        np.testing.assert_array_equal(np.sort(np.concatenate([kept, rows])), np.arange(count))
+        training = {"training": {"holdback": 0.2, "fold": fold}}
+        metadata = dataclasses.replace(model_metadata(), training_data={"sha256": "same"}, training=training)
+        np.testing.assert_array_equal(unseen_rows(metadata, "same", count), rows)
+
+
 def test_a_limit_takes_samples_from_the_whole_table(folder, constant_model):
     data = load_data(folder, open_models([constant_model()], threads=1), limit=10)
     assert len(data) == 10 and data.names[0] == "image_1.png" and data.names[-1] == f"image_{SAMPLES}.png"

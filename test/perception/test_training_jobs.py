@@ -2,6 +2,8 @@
 
 import argparse
 import csv
+import dataclasses
+import shutil
 import sys
 
 import numpy as np
@@ -13,9 +15,12 @@ onnx = pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')
 
 from tactile_bringup.commands import train as train_command  # noqa: E402
 from tactile_perception.datasets.dataset import read_dataset  # noqa: E402
+from tactile_perception.estimating.contact_model import EDGE, SURFACE  # noqa: E402
 from tactile_perception.estimating.estimator import Estimator  # noqa: E402
-from tactile_perception.estimating.model_metadata import ModelMetadata  # noqa: E402
+from tactile_perception.estimating.labels import COMPONENTS  # noqa: E402
+from tactile_perception.estimating.model_metadata import ModelMetadata, unseen_rows  # noqa: E402
 from tactile_perception.estimating.preprocessing import PreprocessingSettings  # noqa: E402
+from tactile_perception.training import ensemble  # noqa: E402
 from tactile_perception.training.data import split_holdback  # noqa: E402
 from tactile_perception.training.ensemble import EnsembleError, write_ensemble  # noqa: E402
 from tactile_perception.training.export import export_onnx  # noqa: E402
@@ -104,6 +109,7 @@ def test_a_run_that_fails_in_a_process_is_told_with_its_reason(tmp_path, capsys)
     [
         (["--jobs", 2], "they need --repeat"),
         (["--repeat", 2, "--install", "m.onnx"], "leave out --repeat"),
+        (["--folds", 2], "neither --limit nor"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(training_data, tmp_path, capsys, words, message):
@@ -161,14 +167,93 @@ def test_a_scheduler_that_does_not_answer_is_named(training_data, tmp_path, caps
     assert "tcp://127.0.0.1:1: no Dask scheduler answers there" in capsys.readouterr().err
 
 
-def member(path, head: str, seed: int, **metadata) -> object:
+@pytest.fixture(scope="module")
+def folded(training_data, tmp_path_factory):
+    """Two networks that each leave out another half of the data, joined in one model."""
+    out = tmp_path_factory.mktemp("folded")
+    settings = [word for change in (*QUICK, "calibration.min_samples=20") for word in ("--set", change)]
+    assert command("train", training_data, "--out", out, "--folds", 2, "--jobs", 2, *settings) == 0
+    return out
+
+
+def test_folds_learn_from_all_contacts_and_all_calibrate(folded, training_data):
+    """The mean of the networks' answers; what each says of the part that it never saw has a NEES of 1."""
+    data = read_dataset(training_data / "train", changes={"size": 32})
+    members = [Estimator(folded / f"fold_{fold}" / "model.onnx") for fold in (0, 1)]
+    unseen = [unseen_rows(each.metadata, data.sha256, len(data)) for each in members]
+    assert sorted(np.concatenate(unseen)) == list(range(len(data)))
+    images = data.images[:, np.newaxis].astype(np.float32) / np.float32(255.0)
+    answers = [each.predict_uncalibrated(images) for each in members]
+    joined = Estimator(folded / "model.onnx")
+    calibration = joined.metadata.calibration
+    assert calibration.samples == len(data)
+    squared = []
+    for (mean, covariance), rows in zip(answers, unseen, strict=True):
+        variance = np.diagonal(calibration.covariance(mean, covariance), axis1=1, axis2=2)
+        squared.append((data.labels[rows] - mean[rows]) ** 2 / variance[rows])
+    np.testing.assert_allclose(np.concatenate(squared).mean(axis=0), 1.0, atol=0.02)
+    mean, covariance = (sum(parts) / 2.0 for parts in zip(*answers, strict=True))
+    found = joined.predict(images)
+    np.testing.assert_allclose(found[0], mean, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(found[1], calibration.covariance(mean, covariance), rtol=1e-3, atol=1e-4)
+
+
+def test_a_model_of_folds_is_a_finished_run_that_has_seen_all(folded, training_data, tmp_path, capsys):
+    result = RunFolder(folded).result()
+    assert result["folds"] == 2 and set(result["mae"]) == set(COMPONENTS)
+    metadata = Estimator(folded / "model.onnx").metadata
+    assert not len(unseen_rows(metadata, metadata.training_data["sha256"], 96))
+    assert command("train", training_data, "--out", folded, "--folds", 2) == 1
+    assert "holds another run" in capsys.readouterr().err
+    assert train(training_data, tmp_path / "next", "--start", folded) == 1
+    assert "take one, as" in " ".join(capsys.readouterr().err.split())
+
+
+def test_folds_go_on_where_they_were(folded, training_data, tmp_path, capsys):
+    """One of them is there already."""
+    out = tmp_path / "again"
+    shutil.copytree(folded / "fold_0", out / "fold_0")
+    settings = [word for change in (*QUICK, "calibration.min_samples=20") for word in ("--set", change)]
+    model = tmp_path / "installed.onnx"
+    assert command("train", training_data, "--out", out, "--folds", 2, *settings, "--install", model) == 0
+    output = capsys.readouterr()
+    assert "1 of 2 runs are already there" in output.err and "2 networks" in output.out
+    assert weights(model) == weights(folded / "model.onnx")
+
+
+@pytest.mark.parametrize("spread", [True, False])
+def test_angles_that_go_all_round_are_joined_the_short_way_round(tmp_path, spread):
+    """Of networks with random weights, whose directions are all over the circle."""
+    (turning,) = EDGE.turning
+    paths = [member(tmp_path / f"{n}.onnx", "gaussian", n, EDGE) for n in range(3)]
+    images = np.random.default_rng(0).random((20, 1, 32, 32), dtype=np.float32)
+    means, covariances = (
+        np.array(part) for part in zip(*(Estimator(path).predict(images) for path in paths), strict=True)
+    )
+    offset = means - means[0]
+    assert np.abs(offset[..., turning]).max() > np.pi, "or it is no test"
+    offset[..., turning] = np.angle(np.exp(1j * offset[..., turning]))
+    mean = means[0] + offset.mean(axis=0)
+    difference = means[0] + offset - mean
+    expected = covariances.mean(axis=0)
+    if spread:
+        expected = expected + np.einsum("kni,knj->nij", difference, difference) / len(paths)
+    metadata = dataclasses.replace(Estimator(paths[0]).metadata, training={"members": [{}] * 3})
+    ensemble._write(paths, tmp_path / "all.onnx", metadata, spread)
+    found = Estimator(tmp_path / "all.onnx").predict(images)
+    np.testing.assert_allclose(found[0], mean, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(found[1], expected, rtol=1e-3, atol=1e-3)
+
+
+def member(path, head: str, seed: int, model=SURFACE, **metadata) -> object:
     """A network with random weights as a model file."""
     torch.manual_seed(seed)
-    network = PoseNetwork(NetworkSettings(image_size=32, channels=(4, 6), head=head))
+    network = PoseNetwork(NetworkSettings(image_size=32, channels=(4, 6), head=head), model)
     with torch.no_grad():
-        network.start_from(torch.randn(50, 6))
+        network.start_from(torch.randn(50, 6) + 2.0 * (1 + seed) * torch.tensor([*[0.0] * 5, model.directed]))
         network.head.weight.normal_(std=0.2)
     settings = {"preprocessing": PreprocessingSettings(size=32), "training_data": {}, "validation": {}}
+    settings["contact_model"] = model
     export_onnx(network.eval(), path, ModelMetadata(**{**settings, **metadata}), np.full(6, 0.3))
     return path
 
