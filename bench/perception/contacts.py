@@ -7,8 +7,9 @@ first N of a random order are taken, of which a fifth calibrates, and chooses th
 start is the folder of a finished run of `tactile train`, and of its network `base` or `convolutions` stay as
 they are where that is added (training.frozen); without --start networks start from random weights. Size 0 is
 the start as it is. --vary names settings of one more network. With --unlabelled the network labels so many
-further images, and is trained once more on them and the contacts. The start `plain` is no start, but a
-plain network (plain_network.py). Rows that are done stay in OUT/rows.jsonl. Needs PyTorch
+further images, and is trained once more on them and the contacts. With --folds as many networks are joined
+that each leave out another part of the contacts, as by `tactile train --folds`. The start `plain` is no
+start, but a plain network (plain_network.py). Rows that are done stay in OUT/rows.jsonl. Needs PyTorch
 (`scripts/setup.sh train`).
 """
 
@@ -62,6 +63,7 @@ class Job:
     run: str
     unlabelled: int
     plain: bool
+    folds: int = 1
 
     @property
     def name(self) -> str:
@@ -76,6 +78,7 @@ class Network:
     model: ContactModel
     size: int
     epoch: int = 0
+    calibrated: bool = False
 
     @classmethod
     def of(cls, path: Path, epoch: int = 0) -> Network:
@@ -124,8 +127,10 @@ def parts(count: int, job: Job) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
     return pool[len(pool) // HELD_OUT :], pool[: len(pool) // HELD_OUT], test, others
 
 
-def learned(job: Job, data: TactileDataset, learning: np.ndarray, choosing: np.ndarray) -> Network:
-    """A network of these rows."""
+def learned(
+    job: Job, data: TactileDataset, learning: np.ndarray, choosing: np.ndarray | None = None
+) -> Network:
+    """A network of these rows; without others to choose by, of those that its settings do not hold back."""
     from tactile_perception.training.augmentation import SCALE
     from tactile_perception.training.config import TrainConfig
     from tactile_perception.training.data import arrange, load_start
@@ -144,12 +149,30 @@ def learned(job: Job, data: TactileDataset, learning: np.ndarray, choosing: np.n
         return Network(PlainNetwork(model, job.seed, *pairs), model, size)
     large = SCALE * size if config.augmentation.active else size
     preprocessing = data.preprocessing.replaced(size=size)
-    ready = arrange(taken(data, learning, large), taken(data, choosing, size), config, preprocessing)
+    validation = None if choosing is None else taken(data, choosing, size)
+    ready = arrange(taken(data, learning, large), validation, config, preprocessing)
     if config.training.start:
         ready = ready.started(load_start(config.training.start, config.network))
     shutil.rmtree(job.run, ignore_errors=True)
     result = train_network(ready, RunFolder(job.run), config, TrainingProgress())
     return Network.of(result.model_path, result.best.number + 1)
+
+
+def joined(job: Job, data: TactileDataset, rows: np.ndarray) -> Network:
+    """Several networks of these rows that each leave out another part."""
+    from tactile_perception.training.config import TrainConfig
+    from tactile_perception.training.ensemble import write_folds
+
+    config, runs = TrainConfig.from_mapping(job.sections), []
+    config = config.replaced(calibration__margin=(1.0,) * POSE, calibration__floor=(0.0,) * POSE)  # as below
+    for fold in range(job.folds):
+        own = {"holdback": 1.0 / job.folds, "fold": fold, "seed": job.seed + fold}
+        sections = config.replaced(**{f"training__{name}": value for name, value in own.items()}).plain()
+        runs.append(Path(f"{job.run} fold {fold}"))
+        learned(dataclasses.replace(job, sections=sections, run=str(runs[-1])), data, rows)
+    path = Path(f"{job.run}.onnx")
+    write_folds(runs, path, taken(data, rows, config.network.image_size))
+    return dataclasses.replace(Network.of(path), calibrated=True)
 
 
 def labelled_by(network: Network, data: TactileDataset, rows: np.ndarray) -> TactileDataset:
@@ -166,7 +189,9 @@ def trained(job: Job) -> dict[str, Any]:
     started = time.monotonic()
     data = dataset(job.data)
     learning, choosing, test, others = parts(len(data), job)
-    if job.size:
+    if job.folds > 1 and job.size:
+        network = joined(job, data, np.sort(np.concatenate([learning, choosing])))
+    elif job.size:
         network = learned(job, data, learning, choosing)
     else:
         network = Network.of(Path(job.sections["training"]["start"]) / "model.onnx")
@@ -182,7 +207,9 @@ def trained(job: Job) -> dict[str, Any]:
         return labels, mean, cov, model.error(mean, labels)
 
     labels, mean, cov, error = answers(test)
-    if len(choosing) >= FEWEST:
+    if network.calibrated:
+        cov = network.estimator.metadata.calibration.covariance(mean, cov)
+    elif len(choosing) >= FEWEST:
         known, *found, off = answers(choosing)
         settings = CalibrationSettings(min_samples=FEWEST)
         cov = fit_calibration(known, *found, settings, off).covariance(mean, cov)
@@ -220,10 +247,12 @@ def job_of(
         name += f":{frozen}" if frozen else ""
     name += "".join(f" {change}" for change in changes)
     name += f" and {given.unlabelled} unlabelled" if given.unlabelled else ""
+    name += f" in {given.folds} folds" if given.folds > 1 else ""
     config = config.changed([*given.set, *changes, f"training.seed={seed}", "training.holdback=0"])
     folder = given.out.absolute() / f"{data.stem} {name} {size} {seed}".replace("/", "_")
+    plain, unlabelled = start == PLAIN, given.unlabelled
     return Job(
-        str(data.absolute()), size, name, seed, config.plain(), str(folder), given.unlabelled, start == PLAIN
+        str(data.absolute()), size, name, seed, config.plain(), str(folder), unlabelled, plain, given.folds
     )
 
 
@@ -276,6 +305,7 @@ def main() -> None:
     add("--vary", nargs="*", action="append", metavar="SECTION.NAME=VALUE", help="of a further network each")
     add("--sizes", type=int, nargs="*", default=SIZES)
     add("--unlabelled", type=int, default=0, metavar="IMAGES", help="that the network labels itself")
+    add("--folds", type=int, default=1, metavar="N", help="networks that are joined")
     add("--pixels", type=int, default=128, help="side at which images are kept: twice that of a network")
     add("--seeds", type=int, default=1)
     add("--jobs", type=int, default=1)
