@@ -73,7 +73,13 @@ NODES: dict[str, Part] = {
     "camera": Part(publishes=(topics.IMAGE, topics.LATENCY)),
     "sim": Part(
         publishes=(topics.TF, topics.SIM_MARKERS),
-        publishes_all=(topics.TRUTH, topics.PRESENCE, topics.ESTIMATE, topics.LATENCY),
+        publishes_all=(
+            topics.TRUTH,
+            topics.PRESENCE,
+            topics.ESTIMATE,
+            topics.FORCE_SENSOR,
+            topics.LATENCY,
+        ),
     ),
     "estimator": Part(
         publishes=(topics.PRESENCE, topics.ESTIMATE, topics.WRENCH, topics.FORCE_ESTIMATE, topics.LATENCY),
@@ -99,6 +105,7 @@ NODES: dict[str, Part] = {
             topics.DIAGNOSTICS,
             topics.IMAGE,
             topics.compressed(topics.IMAGE),
+            topics.FORCE_SENSOR,
             *_FRAMES,
         ),
         hears_all=(topics.CONTROLLER_STATUS,),  # of the arms that it works together with

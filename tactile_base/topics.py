@@ -56,6 +56,7 @@ LIMITED_COMMAND = Topic("command/twist_limited", "geometry_msgs/msg/TwistStamped
 # ---- of each arm with a sensor ----
 
 IMAGE = Topic("tactile/image", "sensor_msgs/msg/Image", SENSOR, "camera")
+FORCE_SENSOR = Topic("force_sensor/wrench", "geometry_msgs/msg/WrenchStamped", SENSOR, "a force sensor")
 MARKER_VIEW = Topic("tactile/marker_view", "sensor_msgs/msg/Image", SENSOR, "marker_view")
 PRESENCE = Topic("contact/presence", "tactile_msgs/msg/ContactPresence", RELIABLE, "estimator")
 ESTIMATE = Topic("contact/estimate", _POSE_WITH_COVARIANCE, RELIABLE, "estimator")
@@ -102,7 +103,7 @@ ARM_TOPICS = (
 )
 #: Those of the force have messages only where the network tells it.
 FORCE_TOPICS = (WRENCH, FORCE_ESTIMATE, FORCE_BELIEF)
-SENSOR_TOPICS = (PRESENCE, ESTIMATE, BELIEF, STATE, TRUTH, LATENCY, *FORCE_TOPICS)
+SENSOR_TOPICS = (PRESENCE, ESTIMATE, BELIEF, STATE, TRUTH, LATENCY, *FORCE_TOPICS, FORCE_SENSOR)
 SHARED_TOPICS = (DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, ESTOP, TF, TF_STATIC, SIM_MARKERS)
 OBJECT_TOPICS = (OBJECT_BELIEF, OBJECT_LATENCY)
 

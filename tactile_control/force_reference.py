@@ -25,7 +25,7 @@ _POWER = 1.6  # of the depth, with which a skin's force grows: Hertz 1.5, a real
 
 @dataclass(frozen=True)
 class StampedForce:
-    """The believed force (3,) on the sensor, N, in {s}, at an exposure's stamp."""
+    """A force (3,) on the sensor, N, in {s}: believed at an exposure's stamp, or measured."""
 
     stamp_ns: int
     force: Array

@@ -62,7 +62,8 @@ class StampedImage:
 class TaskInputs:
     """The latest of each input; None where none has arrived yet.
 
-    `image` is for tasks that need images, `force` where the network tells it.
+    `image` is for tasks that need images, `force` where the network tells it; `measured`, for tasks that need
+    images, what a force sensor has said since the last step.
     """
 
     belief: StampedPose | None = None
@@ -70,6 +71,7 @@ class TaskInputs:
     sensor_pose: StampedPose | None = None
     image: StampedImage | None = None
     force: StampedForce | None = None
+    measured: tuple[StampedForce, ...] = ()
 
 
 class InputRefused(ValueError):

@@ -35,6 +35,9 @@ def _profile(depth: int, reliable: bool = True, latched: bool = False) -> QoSPro
 IMAGE = _profile(1, reliable=False)
 """Camera images: SensorData with a depth of one; the newest wins."""
 
+FORCE = _profile(100, reliable=False)
+"""What a force sensor says; one that is missing is like the next."""
+
 STATE = _profile(100)
 """Estimates, beliefs, presence, status: small, and each one counts. A node that was held up for fewer than so
 many catches up; beyond, the oldest are lost."""

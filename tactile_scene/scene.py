@@ -45,6 +45,11 @@ class SensorSettings(Settings):
         doc="force on the sensor, where the network tells it, from which on the arm goes no further along "
         "the sensor's z; 0: any",
     )  # fmt: skip
+    force_sensor: bool = setting(
+        False,
+        doc="whether a force sensor between tool and tactile sensor says what it measures "
+        "(`force_sensor/wrench`): collected contacts are then labelled with forces",
+    )
     time_offset: float = setting(
         0.0, unit="s", lower=-0.5, upper=0.5,
         doc="added to the stamps of the camera, so that they are those of the exposures on the arm's clock",

@@ -32,6 +32,8 @@ class Truth:
         How much of the contact slips, 0..1.
     normal_force : float
         Force of the surface on the sensor along the outward normal, N; NaN where it is not modelled.
+    force : ndarray (3,)
+        The whole force of the surface on the sensor, N, in {s}; NaN where it is not modelled.
     nearest, outward : ndarray (3,)
         Nearest point of the true surface (m) and the outward unit normal there, in its body's frame.
     T_base_body : ndarray (4, 4)
@@ -45,6 +47,7 @@ class Truth:
     T_fs: Array
     slip_fraction: float
     normal_force: float
+    force: Array
     nearest: Array
     outward: Array
     T_base_body: Array
@@ -70,7 +73,7 @@ class Truth:
         """The truth of a sensor that no surface is there for."""
         nan = float("nan")
         missing, missing_pose = np.full(3, nan), np.full((4, 4), nan)
-        return cls("", False, nan, nan, missing_pose, 0.0, 0.0, missing, missing, missing_pose)
+        return cls("", False, nan, nan, missing_pose, 0.0, 0.0, np.zeros(3), missing, missing, missing_pose)
 
 
 @dataclass(frozen=True)

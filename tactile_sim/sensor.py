@@ -97,6 +97,7 @@ def true_contact(target: TouchedBody, geometry: ContactGeometry, known: ContactT
         T_fs=known.T_fs,
         slip_fraction=known.slip_fraction,
         normal_force=known.normal_force,
+        force=known.force,
         nearest=geometry.point,
         outward=geometry.normal,
         T_base_body=target.T_base_body,

@@ -162,7 +162,9 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     what = "an arm whose sensor gives images"
     arm = arm_of(scene, arguments.arm, lambda arm: scene.gives_images(arm.name), what)
     surface = chosen_surface(scene, arm, arguments.surface, EDGED if arguments.edge else FLAT)
+    assert arm.sensor is not None
     first = defaults(arm, arguments.touch, arguments.edge)
+    first = first.replaced(force__labelled=arm.sensor.settings.force_sensor)
     settings = chosen_settings(first, arguments.config, arguments.changes).replaced(
         data__folder=str(arguments.out.absolute()),
         data__images=arguments.images,
@@ -174,7 +176,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     robot = arm.driver + " (double)" * arguments.rehearse
     same: dict[str, Any] = {"seed": goal.seed, "first": goal.first}
     same |= {"images": settings.data.images, "frame": settings.data.frame}
-    kept = ("sampling", "preprocessing", *["edge"] * arguments.edge)
+    kept = ("sampling", "preprocessing", *["edge"] * arguments.edge, *["force"] * settings.force.labelled)
     same |= {name: dataclasses.asdict(settings.group(name)) for name in kept}
     check_same_run(arguments.out, {"robot": robot, "scene": scene.name, "arm": arm.name, **same})
     with DatasetWriter(arguments.out, settings.preprocessing, arguments.images) as writer:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_base.input_file import parse_json, read_text
 from tactile_geometry import se3
-from tactile_perception.datasets.layout import AXES, DatasetError
+from tactile_perception.datasets.layout import AXES, FORCE_COLUMNS, DatasetError
 from tactile_perception.datasets.writer import DatasetWriter
 from tactile_perception.estimating.labels import euler_from_pose
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
@@ -28,12 +28,15 @@ class SampleStore:
     """One data folder that a collection writes to; see `DatasetWriter` for what it survives.
 
     Beside the label, each row keeps the exposure's stamp, what was asked for, and the sensor in the arm's
-    base, both in mm and degrees (extrinsic xyz).
+    base, both in mm and degrees (extrinsic xyz), and with `forces` the force on the sensor in N.
     """
 
-    def __init__(self, folder: str | Path, preprocessing: PreprocessingSettings, images: str) -> None:
+    def __init__(
+        self, folder: str | Path, preprocessing: PreprocessingSettings, images: str, forces: bool = False
+    ) -> None:
         self.folder = Path(folder)
-        self.writer = DatasetWriter(self.folder, preprocessing, images, EXTRA_COLUMNS, durable=True)
+        extra = (*EXTRA_COLUMNS, *FORCE_COLUMNS) if forces else EXTRA_COLUMNS
+        self.writer = DatasetWriter(self.folder, preprocessing, images, extra, durable=True)
 
     def missing(self, samples: int) -> list[int]:
         """Numbers, from 1, of the samples that are not there yet."""
@@ -48,6 +51,8 @@ class SampleStore:
         poses = np.concatenate([_mm_deg(capture.target), euler_from_pose(capture.T_base_sensor)])
         values: dict[str, float | int] = dict(zip(EXTRA_COLUMNS[1:], poses.tolist(), strict=True))
         values["stamp_ns"] = capture.stamp_ns
+        if capture.force is not None:
+            values |= dict(zip(FORCE_COLUMNS, capture.force.tolist(), strict=True))
         self.writer.add(capture.number, image, _mm_deg(capture.euler), values)
 
     def keep_surface(self, T_base_f: Array, assumed: Array, touches: int) -> None:

@@ -32,10 +32,24 @@ TASK = "data_collection"  # its name among the tasks
 REFERENCE = "reference"
 TOUCH = "touch"
 ROTATE = "rotate"
+TARE = "tare"
 CONTACT = "contact"
 SHEAR = "shear"
 CAPTURE = "capture"
-PHASES = (GO_TO_START, REFERENCE, TOUCH, ROTATE, CONTACT, SHEAR, CAPTURE, RETREAT, STOPPING, DONE, FAILED)
+PHASES = (
+    GO_TO_START,
+    REFERENCE,
+    TOUCH,
+    ROTATE,
+    TARE,
+    CONTACT,
+    SHEAR,
+    CAPTURE,
+    RETREAT,
+    STOPPING,
+    DONE,
+    FAILED,
+)
 
 
 @dataclass(frozen=True)
@@ -62,6 +76,8 @@ class Capture:
         What was asked for.
     T_base_sensor : ndarray (4, 4)
         Where the arm says that the sensor was.
+    force : ndarray (3,), optional
+        On the sensor, N, in {s}, where that is measured.
     """
 
     number: int
@@ -69,6 +85,7 @@ class Capture:
     euler: Array
     target: Array
     T_base_sensor: Array
+    force: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -183,6 +200,25 @@ class EdgeSettings(EdgeSampling):
 
 
 @dataclass(frozen=True)
+class ForceLabelSettings(Settings):
+    """How contacts are labelled with what a force sensor between tool and tactile sensor says."""
+
+    labelled: bool = setting(False, doc="whether they are; by default where the scene has a force sensor")
+    sign: int = setting(
+        1,
+        choices=(1, -1),
+        doc="-1 for a force sensor that tells what it presses with, not what presses on it",
+    )
+    window: float = setting(
+        0.1,
+        lower=0.0,
+        upper=5.0,
+        unit="s",
+        doc="of rest, over which a force is averaged, in air and in contact",
+    )
+
+
+@dataclass(frozen=True)
 class CollectionWatchdogSettings(WatchdogSettings):
     """Age limits; collection looks at the sensor's pose and at the image."""
 
@@ -206,7 +242,7 @@ class DataSettings(Settings):
 
 @dataclass(frozen=True)
 class DataCollectionSettings(SettingGroups):
-    """All that can be set of `DataCollection`; a run keeps the `data` to `edge` that it began with."""
+    """All that can be set of `DataCollection`; a run keeps `data` to `edge`, and `force`, as it began."""
 
     data: DataSettings = field(default_factory=DataSettings)
     sampling: SamplingSettings = field(default_factory=SamplingSettings)
@@ -215,6 +251,7 @@ class DataCollectionSettings(SettingGroups):
     edge: EdgeSettings = field(default_factory=EdgeSettings)
     motion: CollectionMotionSettings = field(default_factory=CollectionMotionSettings)
     touch: TouchSettings = field(default_factory=TouchSettings)
+    force: ForceLabelSettings = field(default_factory=ForceLabelSettings)
     limiter: LimiterSettings = field(default_factory=LimiterSettings)
     watchdog: CollectionWatchdogSettings = field(default_factory=CollectionWatchdogSettings)
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseArray
+from geometry_msgs.msg import PoseArray, WrenchStamped
 from numpy.typing import NDArray
 
 from tactile_base import topics
@@ -36,12 +36,13 @@ from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactForce, ContactState
 from tactile_records.messages import status_bytes
 from tactile_ros.colleagues import listen_to_partners
+from tactile_ros.conversions import ns_from_time
 from tactile_ros.image_input import ImageTopicSettings, PosedImages, subscribe_images
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import lost_counter
 from tactile_ros.message_bytes import STATE_FLAGS, STATE_XI, force_from_bytes, read_state
 from tactile_ros.parameters import GroupParameters, declare_read_only, fixed_settings
-from tactile_ros.qos import STATE
+from tactile_ros.qos import FORCE, STATE
 from tactile_ros.run_nodes import run
 from tactile_ros.task_messages import feedback_message, named_goal, path_message, with_settings
 from tactile_ros.task_node import ZERO, Run, TaskNode
@@ -86,7 +87,10 @@ class ControllerNode(TaskNode):
         minds = self.task_type.monitors_contact and self.controlled_frame == self.sensor_frame
         if self.images is not None:
             self.images.color = bool(getattr(self.settings.value.group("preprocessing"), "color", False))
-            subscribe_images(self, self.image_topic, self.images.take, getattr(watchdog, "image_age", 0.0))
+            age = getattr(watchdog, "image_age", 0.0)
+            subscribe_images(self, self.image_topic, self.images.take, age)
+            if getattr(self.settings.value.group("force"), "labelled", False):
+                self.subscribe(WrenchStamped, topics.FORCE_SENSOR.name, self._take_measured, FORCE, age)
         elif self.task_type.needs_sensor or minds:
             age = getattr(watchdog, "belief_age", 0.0)
             self.latency = LatencyPublisher(self, "controller", self.controlled_frame)
@@ -118,6 +122,7 @@ class ControllerNode(TaskNode):
         self.belief: StampedPose | None = None
         self.presence: StampedPresence | None = None
         self.force: StampedForce | None = None
+        self.measured: list[StampedForce] = []
         if self.images is not None:
             self.images.forget()
         self.last_step_ns = 0
@@ -152,6 +157,23 @@ class ControllerNode(TaskNode):
         """Keep the force; a step is made with the belief, which comes by another topic."""
         self.force = StampedForce(*force_from_bytes(data))
 
+    def _take_measured(self, message: WrenchStamped) -> None:
+        """Keep what a force sensor says, in {s}, for the next step; while nothing runs nobody asks for it."""
+        header, force = message.header, message.wrench.force
+        stamp_ns, frame = ns_from_time(header.stamp), header.frame_id.removeprefix("/")
+        self.check_stamp(stamp_ns)
+        measured = np.array([force.x, force.y, force.z])
+        if not np.isfinite(measured).all():
+            raise MessageError(f"force is {measured.tolist()}, must be finite numbers")
+        if self.run is None:
+            return
+        if frame != self.sensor_frame:
+            try:
+                measured = self.transforms.newest(self.sensor_frame, frame)[1][:3, :3] @ measured
+            except TransformUnavailable as error:
+                raise MessageError(f"frame is '{frame}', must be one that /tf knows: {error}") from error
+        self.measured.append(StampedForce(stamp_ns, measured))
+
     # ---- steps ----
 
     def step(self) -> None:
@@ -164,7 +186,8 @@ class ControllerNode(TaskNode):
             pose = self.sensor_pose()
             image = self.images.newest if self.images else None
             posed = StampedPose(*pose) if pose else None
-            inputs = TaskInputs(self.belief, self.presence, posed, image, self.force)
+            inputs = TaskInputs(self.belief, self.presence, posed, image, self.force, tuple(self.measured))
+            self.measured.clear()
             broken = self.run.task.traceback
             self.run.task.partner = self.partners.trouble(time.monotonic())
             self.run.task.partner_hold = self.partners.hold

@@ -2,7 +2,8 @@
 
 Its process runs an arm node for each simulated arm and a camera node for each simulated camera, the same
 that serve real ones (`arm_node`, `camera_node`), and this node, which paces the cell, hands them states and
-frames, and publishes what no real cell knows: `sim/truth` of each sensor and the surfaces of all bodies. A
+frames, and publishes what no real cell knows: `sim/truth` of each sensor and the surfaces of all bodies, and
+what the force sensors measure that a scene says there are (`force_sensor`), once an exposure. A
 sensor of fidelity "ideal" takes no images: its estimate and contact presence are published in place of the
 estimator's.
 
@@ -20,7 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Vector3
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Vector3, WrenchStamped
 from rclpy.parameter import Parameter
 from std_msgs.msg import Bool, ColorRGBA
 from tf2_msgs.msg import TFMessage
@@ -41,7 +42,7 @@ from tactile_ros.message_bytes import Layout, headed_bytes, transforms_from_byte
 from tactile_ros.nodes.arm_node import ArmNode
 from tactile_ros.nodes.camera_node import CameraNode
 from tactile_ros.parameters import SettingsParameters
-from tactile_ros.qos import LATCHED, STATE, TF
+from tactile_ros.qos import FORCE, LATCHED, STATE, TF
 from tactile_ros.run_nodes import run
 from tactile_scene.arm import ArmState
 from tactile_scene.camera import CameraFrame
@@ -49,6 +50,7 @@ from tactile_scene.motions import FIXED
 from tactile_scene.scene import SIM, Scene
 from tactile_scene.scene_file import load_scene
 from tactile_sim.cell import Cell
+from tactile_sim.force_sensor import ForceSensor
 from tactile_sim.frame import Frame
 from tactile_wire.packing import gaussian_bytes, split_stamp
 from tactile_wire.pose_numbers import numbers_from_pose, pose_from_numbers
@@ -92,13 +94,22 @@ class SensorOutlet:
         self.arm, self.camera, self.lost = arm, camera, 0
         self._node = node
         self.truth = node.publisher(ContactTruth, topics.TRUTH.of(arm).name, STATE)
+        sensor = node.scene.arms[arm].sensor
+        self.force = None
+        if sensor is not None and sensor.settings.force_sensor:
+            self.force = node.publisher(WrenchStamped, topics.FORCE_SENSOR.of(arm).name, FORCE)
         if camera is None:
             self._presence = node.publisher(ContactPresence, topics.PRESENCE.of(arm).name, STATE)
             self._estimate = node.publisher(PoseWithCovarianceStamped, topics.ESTIMATE.of(arm).name, STATE)
             self._latency = LatencyPublisher(node, "camera", self.frame, topics.LATENCY.of(arm).name)
 
     def publish(self, frame: Frame) -> None:
-        """What the sensor gives."""
+        """What the sensor gives, and the force sensor behind it."""
+        if self.force is not None:
+            measured = self._node.force_sensors[self.arm].measured(frame).tolist()
+            self.force.publish(
+                headed_bytes(WrenchStamped, frame.stamp_ns, self.frame, *measured, 0.0, 0.0, 0.0)
+            )
         if self.camera is None:
             self._publish_ideal(frame)
         elif frame.image is not None:
@@ -211,7 +222,9 @@ class SimNode(ManagedNode):
     def _start_cell(self, stamp_ns: int = 0) -> None:
         arms, doubles = self.scene.arms, self.doubles.items()
         followed = {name: FollowedArm(arms[name], double, stamp_ns) for name, double in doubles}
-        self.cell = Cell(self.scene, self.settings.value.seed, stamp_ns, followed=followed)
+        seed = self.settings.value.seed
+        self.cell = Cell(self.scene, seed, stamp_ns, followed=followed)
+        self.force_sensors = {name: ForceSensor(seed, arm.T_world_base) for name, arm in arms.items()}
 
     def due_in(self) -> float:
         """Seconds until the next step is to be computed."""
