@@ -9,16 +9,19 @@ import cv2
 import numpy as np
 import pytest
 from controlled_arm import CONTROLLER, PATIENT, PERIOD, SECOND, SENSOR, ControlledArm
+from geometry_msgs.msg import WrenchStamped
 from messages import image_message
 from sensor_msgs.msg import Image
 
+from tactile_base import topics
+from tactile_base.config_paths import config_path
 from tactile_geometry import se3
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactTruth
 from tactile_perception.datasets.dataset import read_dataset
 from tactile_records.collecting.geometry import contact_frame
 from tactile_ros import qos
-from tactile_ros.conversions import ns_from_time, pose_from_matrix
+from tactile_ros.conversions import ns_from_time, pose_from_matrix, time_from_ns
 from tactile_scene.scene_file import load_scene
 
 RADIUS = 0.020
@@ -280,15 +283,63 @@ def test_without_a_folder_a_goal_is_refused(graph):
     assert "must name the folder" in start(graph, None).refusal()
 
 
+class ForceWorld(World):
+    """With a force sensor that says what presses on the sensor in the arm's base, of 500 N/m, 2 N off."""
+
+    bad = None  # (frame, force) that it says besides
+
+    def __init__(self, graph) -> None:
+        self.force_out = graph.publisher(WrenchStamped, topics.FORCE_SENSOR.name, qos.FORCE)
+        super().__init__(graph)
+
+    def step(self) -> None:
+        said = (topics.base_frame("arm"), 2.0 + 500.0 * max(0.0, self.depth()))
+        for frame, force in (said, self.bad) if self.bad else (said,):
+            message = WrenchStamped()
+            message.header.stamp = time_from_ns(self.graph.now_ns())
+            message.header.frame_id, message.wrench.force.z = frame, force
+            self.force_out.publish(message)
+        super().step()
+
+
+@pytest.mark.parametrize(
+    ("frame", "force", "why"),
+    [("arm/base", math.nan, "must be finite numbers"), ("nowhere", 9.0, "frame is 'nowhere'")],
+)
+def test_measured_forces_are_labels_in_the_sensors_frame_and_what_cannot_be_used_is_refused(
+    graph, tmp_path, frame, force, why
+):
+    folder = tmp_path / "data"
+    where = {"data.frame": se3.euler_from_pose(FRAME).tolist(), "data.folder": folder}
+    graph.start(CONTROLLER, {**QUICK, **where, "force.labelled": True, "force.window": 0.05})
+    world = ForceWorld(graph)
+    world.bad = frame, force
+    result = world.result(world.send())
+    assert result.success, result.reason
+    assert why in graph.log(CONTROLLER).read_text()
+    data = read_dataset(folder)
+    assert data.labelled[-3:] == ("Fx", "Fy", "Fz")
+    for row, measured in zip(rows(folder), data.force, strict=True):
+        angles = [math.radians(float(row[f"base_sensor_{name}"])) for name in ("Rx", "Ry", "Rz")]
+        R = se3.pose_from_euler([0.0, 0.0, 0.0, *angles])[:3, :3]
+        pressed = 500.0 * (RADIUS - float(row["base_sensor_z"]) * 1e-3)
+        np.testing.assert_allclose(measured, R.T @ [0.0, 0.0, pressed], atol=0.02)
+
+
 def test_labels_collected_in_the_simulation_agree_with_its_truth(graph, tmp_path):
     folder = tmp_path / "data"
-    scene = load_scene("plane")
+    text = config_path("scenes/plane.yaml").read_text()
+    assert "camera_rate: 60\n" in text
+    text = text.replace("camera_rate: 60\n", "camera_rate: 60\n      force_sensor: true\n")
+    (tmp_path / "plane.yaml").write_text(text)
+    scene = load_scene(tmp_path / "plane.yaml")
     arm, (surface,) = scene.arms["arm"], scene.bodies
     T_base_surface = scene.T_base_body("arm", surface)
     frame = contact_frame(T_base_surface, arm.T_base_start, arm.sensor.settings.tip_radius)
     truths = graph.collect(ContactTruth, "sim/truth", qos.LATENCY)
-    graph.start("tactile_ros.nodes.sim_node", {"scene": "plane"}, namespace="")
+    graph.start("tactile_ros.nodes.sim_node", {"scene": str(tmp_path / "plane.yaml")}, namespace="")
     parameters = {"data.folder": folder, "data.frame": se3.euler_from_pose(frame).tolist()}
+    parameters["force.labelled"] = True
     graph.start(CONTROLLER, {**QUICK, **parameters})
     sent = graph.action(RunTask, "run_task").send_goal_async(
         RunTask.Goal(task="data_collection", goal=TWO_SAMPLES)
@@ -301,6 +352,12 @@ def test_labels_collected_in_the_simulation_agree_with_its_truth(graph, tmp_path
         truth = by_stamp[int(row["stamp_ns"])]
         label = [float(row[name]) for name in LABEL]
         assert truth.in_contact
+        force = np.array([float(row[name]) for name in ("Fx", "Fy", "Fz")])
+        assert force[2] < -0.05
+        tilt = np.radians([*label[3:5], 0.0])
+        normal = se3.pose_from_euler([0.0, 0.0, 0.0, *tilt])[:3, :3].T @ [0.0, 0.0, -1.0]  # outward, in {s}
+        # without weight and offset, for which it was tared; noise, and a skin that creeps, are left
+        assert force @ normal == pytest.approx(truth.normal_force, abs=0.03)
         assert truth.depth * 1e3 == pytest.approx(label[2], abs=1e-6)
         assert math.cos(truth.normal_angle) == pytest.approx(
             math.cos(math.radians(label[3])) * math.cos(math.radians(label[4])), abs=1e-6
