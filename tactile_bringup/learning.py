@@ -30,6 +30,7 @@ from tactile_base.priority import give_way
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.whole_file import whole_file
 from tactile_base.yaml_file import name_and_value
+from tactile_perception.estimating.contact_model import FORCES, POSE
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.model_metadata import RESULT_NAME
 from tactile_perception.estimating.preprocessing import as_input
@@ -55,7 +56,9 @@ EDGE_PARTS: Parts = {
     "direction": ((5,), "deg"),
     "tilt": ((3, 4), "deg"),
 }
-UNITS = {name: unit for parts in (PARTS, EDGE_PARTS) for name, (_, unit) in parts.items()}
+#: And of forces, where the network tells them.
+FORCE_PART: Parts = {"force": (tuple(range(POSE, POSE + len(FORCES))), "N")}
+UNITS = {name: unit for parts in (PARTS, EDGE_PARTS, FORCE_PART) for name, (_, unit) in parts.items()}
 HELD_BACK = 5  # one of so many
 COVERED = LEVELS.index(0.95)
 CONTACTS, JUDGING, ROUNDS = "contacts", "held_back", "rounds"
@@ -104,7 +107,7 @@ class Judged:
     Attributes
     ----------
     contacts, held_back : how many there were in all, and how many of them judged
-    errors : name of a part -> mean absolute error and the ends of its 95 % bootstrap band, mm or deg
+    errors : name of a part -> mean absolute error and the ends of its 95 % bootstrap band, mm, deg or N
     coverage : the part of errors within the model's 95 % interval (0..1); None: it tells no uncertainty
     foreign : the part of the images held back that are foreign to it (0..1); None: it cannot tell
     """
@@ -308,9 +311,10 @@ def judged(run: Path, folder: Path, contacts: int) -> Judged:
     mean = np.full((len(data), told.size), np.nan)
     mean[:, list(data.compared)] = predictions.mean
     error = np.abs(euler_error(data.euler_mm_deg, told.euler(np.nan_to_num(mean))))
+    error = np.hstack([error, np.abs(mean - data.labels)[:, POSE:]])
     picks = np.random.default_rng(0).integers(len(data), size=(_RESAMPLES, len(data)))
     errors = {}
-    for name, (columns, _) in (EDGE_PARTS if told.directed else PARTS).items():
+    for name, (columns, _) in {**(EDGE_PARTS if told.directed else PARTS), **FORCE_PART}.items():
         if set(columns) <= set(data.compared):
             each = error[:, list(columns)].mean(axis=1)
             low, high = np.percentile(each[picks].mean(axis=1), (2.5, 97.5))

@@ -159,8 +159,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         raise ValueError(f"--record {arguments.record}: exists already; remove it or record elsewhere")
     scene = load_scene(arguments.scene)
     scene = rehearsed(scene) if arguments.rehearse else scene
-    what = "an arm whose sensor gives images"
-    arm = arm_of(scene, arguments.arm, lambda arm: scene.gives_images(arm.name), what)
+    arm = sensing_arm(scene, arguments.arm)
     surface = chosen_surface(scene, arm, arguments.surface, EDGED if arguments.edge else FLAT)
     assert arm.sensor is not None
     first = defaults(arm, arguments.touch, arguments.edge)
@@ -185,6 +184,12 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     plan = ArmPlan(arm.name, Role("collector", TASK, settings, goals), goals)
     graph = build_graph(TASK, scene, [plan], graph_options(arguments, changes=()))
     return Plan(graph, arguments.samples, missing)
+
+
+def sensing_arm(scene: Scene, name: str | None) -> ArmScene:
+    """The arm of that name, or the only one, whose sensor gives images."""
+    what = "an arm whose sensor gives images"
+    return arm_of(scene, name, lambda arm: scene.gives_images(arm.name), what)
 
 
 def chosen_surface(scene: Scene, arm: ArmScene, name: str | None, shape: str = FLAT) -> BodyScene:

@@ -21,10 +21,12 @@ from tactile_bringup.commands.changes import add_command, add_group, add_set_opt
 from tactile_bringup.commands.launch import add_rehearse_option
 from tactile_perception.datasets.check import check
 from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.estimating.contact_model import CONTACT_MODELS
 from tactile_perception.estimating.model_metadata import MODEL_NAME
 from tactile_perception.markers.flow import FlowSettings
 from tactile_perception.training.config import TrainConfig
 from tactile_records.collecting.settings import DataCollectionSettings
+from tactile_scene.scene_file import load_scene
 
 NOT_KEPT = 3
 EXIT_CODES = (
@@ -34,7 +36,7 @@ EXIT_CODES = (
 CONTACTS = (125, 250, 500, 1000, 2000)
 FOLDS = 5  # a fifth of 100 is what calibrates a network at least
 PROMISE, EDGE_PROMISE = ("depth=0.3", "tilt=2"), ("depth=0.3", "offset=0.5", "direction=5")
-EDGE_MODEL = "training.model=edge"
+EDGE_MODEL, FORCE_MODEL = "training.model=edge", "training.model=surface_force"
 CONFIG = "perception/few_contacts.yaml"
 SECONDS, EDGE_SECONDS = 2.5, 3.5  # of a contact in simulation
 
@@ -77,13 +79,15 @@ def run(arguments: argparse.Namespace) -> int:
     """Have the arm make contacts in rounds, train a network of each, and stop once it is good enough.
 
     Needs PyTorch (the extra 'train'). Contacts are made as by `tactile data collect`, a fifth of them only to
-    judge by. An interruption costs one contact, or one epoch: the same command goes on.
+    judge by; where the scene has a force sensor the network tells forces, too. An interruption costs one
+    contact, or one epoch: the same command goes on.
     """
     from tactile_bringup import learning_page
 
     console = lasting_console()
-    words = _checked(arguments)
+    words, forces = _checked(arguments)
     parts, promised = (learning.EDGE_PARTS, EDGE_PROMISE) if arguments.edge else (learning.PARTS, PROMISE)
+    parts = {**parts, **(learning.FORCE_PART if forces else {})}
     promise = learning.Promise.parse(arguments.promise or promised, parts)
     hour = 3600.0 / (EDGE_SECONDS if arguments.edge else SECONDS)  # in contacts
     hours = arguments.contacts[0] / hour, arguments.contacts[-1] / hour
@@ -129,8 +133,11 @@ def _shortfall(judged: Any, promise: Any) -> float:
     return max(ratios, default=math.inf)
 
 
-def _checked(arguments: argparse.Namespace) -> list[str]:
-    """Options of `tactile train`; raises where something cannot be, before an arm moves."""
+def _checked(arguments: argparse.Namespace) -> tuple[list[str], bool]:
+    """Options of `tactile train`, and whether its networks tell forces.
+
+    Raises where something cannot be, before an arm moves.
+    """
     if importlib.util.find_spec("torch") is None:
         raise ModuleNotFoundError("No module named 'torch'", name="torch")
     check_folder(arguments.out)
@@ -140,15 +147,25 @@ def _checked(arguments: argparse.Namespace) -> list[str]:
         section = change.partition(".")[0]
         if section not in (*networks, *collection):
             raise SettingError(f"--set {change}: {unknown_name(section, [*networks, *collection])}")
-    changes = [EDGE_MODEL] * arguments.edge
+    scene = load_scene(arguments.scene)
+    arm = data_collect.sensing_arm(scene, arguments.arm)
+    measured = arm.sensor is not None and arm.sensor.settings.force_sensor
+    changes = [EDGE_MODEL] if arguments.edge else [FORCE_MODEL] * measured
     changes += [each for each in arguments.changes if each.partition(".")[0] in networks]
     chosen = TrainConfig.from_file(config).changed(changes)
     if arguments.folds > 1 and chosen.training.holdback:
         chosen = chosen.replaced(training__holdback=1.0 / arguments.folds)
     _check_rounds(list(arguments.contacts), chosen)
+    forces = bool(CONTACT_MODELS.load(chosen.training.model).forces)
+    if forces and not measured:
+        raise SettingError(
+            f"training.model = {chosen.training.model}: tells forces, and no force sensor measures any in "
+            f"{scene.path} (sensor: {{force_sensor: true}})"
+        )
     words = ["--start", str(arguments.start.absolute())] if arguments.start else []
     words += ["--folds", str(arguments.folds)] if arguments.folds > 1 else []
-    return ["--config", str(config), *words, *(word for each in changes for word in ("--set", each))]
+    words = ["--config", str(config), *words, *(word for each in changes for word in ("--set", each))]
+    return words, forces
 
 
 def _check_rounds(totals: list[int], config: TrainConfig) -> None:

@@ -11,8 +11,18 @@ from folders import dot_image
 from tactile_base.settings import SettingError
 from tactile_bringup import learning_page
 from tactile_bringup.cli import main
-from tactile_bringup.learning import EDGE_PARTS, Judged, Learning, LearningError, Promise, snapshot, with_more
+from tactile_bringup.learning import (
+    EDGE_PARTS,
+    FORCE_PART,
+    Judged,
+    Learning,
+    LearningError,
+    Promise,
+    snapshot,
+    with_more,
+)
 from tactile_perception.datasets.dataset import DatasetWriter, open_folder
+from tactile_perception.datasets.layout import FORCE_COLUMNS
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 
@@ -145,6 +155,26 @@ def test_on_an_edge_offset_and_direction_are_judged(words, tmp_path):
     assert "promise of offset 0.1 mm is not kept" in page.read_text()
 
 
+def test_where_forces_are_measured_their_error_is_judged_and_promised(words, tmp_path):
+    def pressed(folder, count, validation, enough):
+        with DatasetWriter(folder, PreprocessingSettings(), extra=FORCE_COLUMNS) as writer:
+            for number in sorted(set(range(1, count + 1)) - writer.done):
+                rng = np.random.default_rng([validation, number])
+                euler = rng.uniform([-4, -4, 0.5, -1, -1, -1], [4, 4, 6, 1, 1, 1])
+                forces = {"Fx": -0.1 * euler[0], "Fy": -0.1 * euler[1], "Fz": -0.5 * euler[2]}
+                writer.add(number, dot_image(euler, rng), euler, forces)
+            writer.finish()
+        return 0
+
+    with_force = [*words, "--set", "training.model=surface_force"]
+    (found,) = Learning(tmp_path, TOTALS[:1], HARD, pressed, with_force).run()
+    value, low, high = found.errors["force"]
+    assert 0.0 < low < value < high < 2.0, "in N"
+    run, promise = tmp_path / "rounds" / "00050" / "run", Promise.parse(["force=0.001"], FORCE_PART)
+    page, *_ = learning_page.write(tmp_path, [found], found, run, promise)
+    assert "promise of force 0.001 N is not kept" in page.read_text()
+
+
 def test_more_contacts_are_told_by_a_power_law():
     found = [Judged(n, 10, {"depth": (8.0 / n**0.5, 0, 0)}, 0.95, 0.0) for n in (100, 400)]
     assert with_more(found, "depth", 1600) == pytest.approx(0.2)
@@ -174,6 +204,8 @@ def test_a_promise_is_kept_by_the_upper_end_of_the_band_and_by_what_is_judged():
         (["--edge", "--promise", "shear=0.5"], "shear"),
         (["--edge"], "one box with an edge (shape: box); there are: table (plane)"),
         (["--scene", "nowhere"], "nowhere"),
+        (["--set", "training.model=surface_force"], "no force sensor measures any"),
+        (["--promise", "force=0.5"], "force"),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_moves(words, why, tmp_path, capsys):
