@@ -113,7 +113,8 @@ class DatasetWriter:
         """Store the label of an image that is already written."""
         x, y, z, alpha, beta, gamma = (repr(float(value)) for value in euler_mm_deg)
         row = [image_name(number), "0", "0", z, alpha, beta, "0", x, y, "0", "0", "0", gamma]
-        row += [repr((extra or {})[name]) for name in self.extra]
+        values = [(extra or {})[name] for name in self.extra]
+        row += [repr(float(value) if isinstance(value, float) else int(value)) for value in values]
         new = not self._journal.exists() or self._journal.stat().st_size == 0
         with self._journal.open("a", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")

@@ -126,6 +126,9 @@ def load_data(
     known = np.logical_and.reduce([model.metadata.contact_model.known for model in models])
     compared = np.flatnonzero(known & [name in first.labelled for name in told.quantity_names])
     whole = np.isfinite(labels[np.ix_(rows, compared)]).all(axis=1)
+    if not whole.any():
+        listed = ", ".join(told.quantity_names[k] for k in compared)
+        raise DatasetError(f"{folder}: no sample has all of the labels {listed}")
     if not whole.all():
         notes.append(f"{np.count_nonzero(~whole)} samples without all of these labels are left out")
         rows = rows[whole]

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 
 import numpy as np
 import onnxruntime
@@ -10,7 +11,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from tactile_base.settings import SettingError
-from tactile_perception.datasets.dataset import read_dataset
+from tactile_perception.datasets.dataset import DatasetError, read_dataset
 from tactile_perception.estimating.contact_model import (
     CONTACT_MODELS,
     EDGE,
@@ -291,6 +292,16 @@ def test_a_data_set_with_missing_components_trains_and_its_model_says_so(torch, 
     assert np.isnan(found.accuracy.euler_mae[[0, 1, 5]]).all()
     assert found.accuracy.mae[0] < 1.2 and found.accuracy.mae[3] < 2.5  # guessing the mean: 1.4 mm, 2.8 N
     assert found.calibrated is not None and found.calibrated.consistency.coverage.shape == (4, 4)
+
+    shutil.copytree(tmp_path / "val", tmp_path / "unmeasured")
+    table = tmp_path / "unmeasured" / "targets_images.csv"
+    head, *rows = table.read_text().splitlines()
+    place = head.split(",").index("Fz")
+    cells = [row.split(",") for row in rows]
+    emptied = [",".join([*row[:place], "", *row[place + 1 :]]) for row in cells]
+    table.write_text("\n".join([head, *emptied]) + "\n")
+    with pytest.raises(DatasetError, match="no sample has all of the labels z, alpha, beta, Fz"):
+        load_data(tmp_path / "unmeasured", models)
 
     images = read_dataset(tmp_path / "train", metadata.preprocessing, complete=False).images
     small = quantize(result.model_path, images, tmp_path / "small.onnx")

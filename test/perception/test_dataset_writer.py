@@ -113,6 +113,12 @@ def test_further_columns_stand_behind_those_of_the_layout(tmp_path):
         path = writer.finish()
     row = rows(path)[0]
     assert list(row)[-1] == "stamp_ns" and row["stamp_ns"] == "12345678901234567"
+    with DatasetWriter(tmp_path / "forces", SETTINGS, extra=("Fx", "Fy", "Fz")) as writer:
+        writer.add(
+            1, camera_image(1), EULER[0], dict(zip(("Fx", "Fy", "Fz"), np.array([0.1, 2, -3]), strict=True))
+        )
+        writer.finish()
+    np.testing.assert_array_equal(read_dataset(tmp_path / "forces").force, [[0.1, 2.0, -3.0]])
     np.testing.assert_array_equal(read_dataset(tmp_path).euler_mm_deg, EULER[:1])
 
 
