@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import NANOSECOND
 from tactile_control.motion import TravelSettings, Waypoint, pose_difference
+from tactile_control.phase_machine import PhaseMachine
 from tactile_control.phases import RETREAT, Phase, PhaseFailed, StampedImage, StampedPose, StraightTo
 from tactile_geometry import se3
 from tactile_perception.estimating.image import ImageError
 from tactile_records.collecting import geometry
+from tactile_records.collecting.inputs import Look, MeasuredForces
+from tactile_records.collecting.sample_store import SampleStore
 from tactile_records.collecting.settings import (
     CAPTURE,
     CONTACT,
@@ -22,11 +25,11 @@ from tactile_records.collecting.settings import (
     TARE,
     TOUCH,
     Capture,
+    CollectionGoal,
     CollectionMotionSettings,
+    DataCollectionSettings,
+    Target,
 )
-
-if TYPE_CHECKING:
-    from tactile_records.collecting.task import DataCollection
 
 Array = NDArray[np.float64]
 
@@ -36,7 +39,50 @@ _NEAR = 1e-3  # m; a touch need not begin and end more exactly than this
 _NEAR_ANGLE = 0.1  # rad; nor a turn go on
 
 
-class CollectionPhase(Phase["DataCollection"]):
+class Collection(PhaseMachine):
+    """What the phases of a collection know of it, and make of it.
+
+    Attributes
+    ----------
+    store, look : where samples go; whether images show contact
+    T_base_f : ndarray (4, 4)
+        Contact frame on the flat surface or edge (see `geometry`); touches correct it.
+    touches : list of ndarray (3,)
+        Positions of the sensor's centre in {f} at which a touch has found the surface.
+    surface_known : whether touches have found it before
+    targets, collected : the samples to collect, and how many of them are there
+    image, in_contact : the newest image; whether it shows contact, None where nobody can say
+    forces : what a force sensor has measured
+    """
+
+    settings: DataCollectionSettings
+    goal: CollectionGoal
+    store: SampleStore
+    look: Look
+    T_base_f: Array
+    touches: list[Array]
+    surface_known: bool
+    targets: list[Target]
+    collected: int
+    image: StampedImage | None
+    in_contact: bool | None
+    forces: MeasuredForces
+
+    @property
+    def target(self) -> Target:
+        """The sample under way."""
+        return self.targets[self.collected]
+
+    def in_base(self, X_fs: Array) -> Array:
+        """A pose in {f} (4, 4) in the base."""
+        return np.asarray(self.T_base_f @ X_fs)
+
+    def in_contact_frame(self, T_base_sensor: Array) -> Array:
+        """A pose in the base (4, 4) in {f}."""
+        return np.asarray(se3.inverse(self.T_base_f) @ T_base_sensor)
+
+
+class CollectionPhase(Phase[Collection]):
     """A phase that looks at the images, in the contact frame {f}."""
 
     needs = NEEDS
@@ -131,10 +177,10 @@ class Reference(Rest):
         return TOUCH if self.task.settings.touch.points and not self.task.surface_known else ROTATE
 
 
-class Touch(CollectionPhase, StraightTo["DataCollection"]):
+class Touch(CollectionPhase, StraightTo[Collection]):
     """Finds the surface: over each place, down until the image shows contact, up again."""
 
-    def __init__(self, task: DataCollection) -> None:
+    def __init__(self, task: Collection) -> None:
         super().__init__(task, TOUCH, ROTATE, goal=self._goal, pace=self._pace)
 
     def begin(self) -> None:
@@ -190,12 +236,12 @@ class Touch(CollectionPhase, StraightTo["DataCollection"]):
         self.keep(self.task.store.keep_surface, self.task.T_base_f, assumed, len(centers))
 
 
-class Rotate(CollectionPhase, StraightTo["DataCollection"]):
+class Rotate(CollectionPhase, StraightTo[Collection]):
     """Back over the point of first touch, turned to the contact angles, in the air."""
 
     what = "the start of the contact"
 
-    def __init__(self, task: DataCollection) -> None:
+    def __init__(self, task: Collection) -> None:
         super().__init__(task, ROTATE, CONTACT, pace=lambda: self.motion.in_air)
 
     def way(self) -> list[Waypoint]:

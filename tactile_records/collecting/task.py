@@ -15,7 +15,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_control.phase_machine import PhaseMachine
 from tactile_control.phases import (
     DONE,
     GO_TO_START,
@@ -34,7 +33,7 @@ from tactile_geometry import se3
 from tactile_perception.estimating.image import ImageError
 from tactile_records.collecting import geometry
 from tactile_records.collecting.inputs import Look, MeasuredForces
-from tactile_records.collecting.phases import NEEDS, Reference, Rotate, TakeImage, Tare, Touch
+from tactile_records.collecting.phases import NEEDS, Collection, Reference, Rotate, TakeImage, Tare, Touch
 from tactile_records.collecting.sample_store import SampleStore
 from tactile_records.collecting.settings import (
     CAPTURE,
@@ -52,7 +51,7 @@ from tactile_scene.sampling import contact_poses
 Array = NDArray[np.float64]
 
 
-class DataCollection(PhaseMachine):
+class DataCollection(Collection):
     """Collects one sample after the other; see the module's text.
 
     Parameters
@@ -65,16 +64,6 @@ class DataCollection(PhaseMachine):
         Where samples go; by default a folder as the settings say.
     look : callable, optional
         Whether images show contact; by default `Look`.
-
-    Attributes
-    ----------
-    T_base_f : ndarray (4, 4)
-        Contact frame on the flat surface or edge (see `geometry`); touches correct it.
-    touches : list of ndarray (3,)
-        Positions of the sensor's centre in {f} at which a touch has found the surface.
-    surface_known : whether touches have found it before
-    image, in_contact : the newest image; whether it shows contact, None where nobody can say
-    forces : what a force sensor has measured
 
     Raises
     ------
@@ -89,9 +78,6 @@ class DataCollection(PhaseMachine):
     phases = PHASES
     work = CAPTURE
     needs_images: ClassVar[bool] = True
-
-    settings: DataCollectionSettings
-    goal: CollectionGoal
 
     def __init__(
         self,
@@ -192,22 +178,7 @@ class DataCollection(PhaseMachine):
         except OSError as error:
             raise OSError(f"cannot write to {self.settings.data.folder}: {error}") from error
 
-    # ---- what its phases share ----
-
-    @property
-    def target(self) -> Target:
-        """The sample under way."""
-        return self.targets[self.collected]
-
     @property
     def nothing_left(self) -> bool:
         """Whether a retreat is the last one."""
         return super().nothing_left or self.collected == len(self.targets)
-
-    def in_base(self, X_fs: Array) -> Array:
-        """A pose in {f} (4, 4) in the base."""
-        return np.asarray(self.T_base_f @ X_fs)
-
-    def in_contact_frame(self, T_base_sensor: Array) -> Array:
-        """A pose in the base (4, 4) in {f}."""
-        return np.asarray(se3.inverse(self.T_base_f) @ T_base_sensor)
