@@ -63,7 +63,7 @@ def write_folds(
     mean = average of the means; covariance = average of the covariances, calibrated on what each network says
     of the part that it held out, so that all data are learned from and all calibrate. The spread of the means
     is no part of it: the mean squared error of one network is that of their average and the spread (Krogh and
-    Vedelsby, 1995), and it is the error of one that calibrates. Errors as of `write_ensemble`.
+    Vedelsby, 1995), and it is the error of one that calibrates. Errors are NaN where nothing is labelled; raises as `write_ensemble`.
 
     Parameters
     ----------
@@ -83,7 +83,8 @@ def write_folds(
     known, means, covariances, error = (np.concatenate(part) for part in zip(*found, strict=True))
     calibration = fit_calibration(known, means, covariances, _settings(members), error)
     _write(files, Path(path), dataclasses.replace(metadata, calibration=calibration), spread=False)
-    return np.asarray(np.abs(error).mean(axis=0))
+    told = np.isfinite(error).any(axis=0)
+    return np.where(told, np.nanmean(np.abs(np.where(told, error, 0.0)), axis=0), np.nan)
 
 
 def _settings(members: Sequence[ModelMetadata]) -> CalibrationSettings:

@@ -281,9 +281,10 @@ class Tare(Rest):
     name, leads_to = TARE, CONTACT
 
     def over(self) -> bool:
-        if self.resting() and self.task.forces.tare(self.settled_ns):
+        resting = self.resting()
+        if resting and self.task.forces.tare(self.settled_ns):
             return True
-        self.late("the arm did not rest, or the force sensor said nothing,")
+        self.late("the force sensor said nothing" if resting else "the arm did not rest")
         return False
 
 
