@@ -8,7 +8,8 @@ start is the folder of a finished run of `tactile train`, and of its network `ba
 they are where that is added (training.frozen); without --start networks start from random weights. Size 0 is
 the start as it is. --vary names settings of one more network. With --unlabelled the network labels so many
 further images, and is trained once more on them and the contacts. With --folds as many networks are joined
-that each leave out another part of the contacts, as by `tactile train --folds`. The start `plain` is no
+that each leave out another part of the contacts, as by `tactile train --folds`, and with --informed half of
+the contacts are those, of all, about which networks of the other half disagree most. The start `plain` is no
 start, but a plain network (plain_network.py). Rows that are done stay in OUT/rows.jsonl. Needs PyTorch
 (`scripts/setup.sh train`).
 """
@@ -48,6 +49,7 @@ from tactile_perception.evaluation.models import predict_all
 HELD_OUT = 5
 SIZES = (0, 25, 50, 100, 200, 500, 1000, 2000, 6000)
 FEWEST = 20  # samples to calibrate on
+COMMITTEE = 3  # networks that may disagree
 RANDOM, PLAIN = "random", "plain"
 
 
@@ -64,6 +66,7 @@ class Job:
     unlabelled: int
     plain: bool
     folds: int = 1
+    informed: bool = False
 
     @property
     def name(self) -> str:
@@ -175,6 +178,21 @@ def joined(job: Job, data: TactileDataset, rows: np.ndarray) -> Network:
     return dataclasses.replace(Network.of(path), calibrated=True)
 
 
+def informed(job: Job, data: TactileDataset, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
+    """Half of these rows, and as many of all others about which networks of that half disagree most."""
+    first, told = rows[::2], []
+    pool = np.setdiff1d(np.arange(len(data)), [*first, *test])
+    for seed in range(COMMITTEE):
+        training = job.sections["training"] | {"seed": seed}
+        own = dataclasses.replace(
+            job, run=f"{job.run} {seed}", sections=job.sections | {"training": training}
+        )
+        network = learned(own, data, first, first)
+        told.append(predict_all(network.estimator, taken(data, pool, network.size).images)[0])
+    doubt = np.var(told, axis=0) / np.mean(told, axis=0).var(axis=0)  # in parts of what varies
+    return np.concatenate([first, pool[np.argsort(doubt.mean(axis=1))[len(first) - len(rows) :]]])
+
+
 def labelled_by(network: Network, data: TactileDataset, rows: np.ndarray) -> TactileDataset:
     """The data with what a network says of the images in these rows in place of their labels."""
     mean, _ = predict_all(network.estimator, taken(data, rows, network.size).images)
@@ -190,7 +208,8 @@ def trained(job: Job) -> dict[str, Any]:
     data = dataset(job.data)
     learning, choosing, test, others = parts(len(data), job)
     if job.folds > 1 and job.size:
-        network = joined(job, data, np.sort(np.concatenate([learning, choosing])))
+        rows = np.sort(np.concatenate([learning, choosing]))
+        network = joined(job, data, informed(job, data, rows, test) if job.informed else rows)
     elif job.size:
         network = learned(job, data, learning, choosing)
     else:
@@ -248,12 +267,11 @@ def job_of(
     name += "".join(f" {change}" for change in changes)
     name += f" and {given.unlabelled} unlabelled" if given.unlabelled else ""
     name += f" in {given.folds} folds" if given.folds > 1 else ""
+    name += ", informed" if given.informed else ""
     config = config.changed([*given.set, *changes, f"training.seed={seed}", "training.holdback=0"])
     folder = given.out.absolute() / f"{data.stem} {name} {size} {seed}".replace("/", "_")
-    plain, unlabelled = start == PLAIN, given.unlabelled
-    return Job(
-        str(data.absolute()), size, name, seed, config.plain(), str(folder), unlabelled, plain, given.folds
-    )
+    more = given.unlabelled, start == PLAIN, given.folds, given.informed
+    return Job(str(data.absolute()), size, name, seed, config.plain(), str(folder), *more)
 
 
 def scaled(row: dict[str, Any], key: str) -> np.ndarray:
@@ -306,6 +324,7 @@ def main() -> None:
     add("--sizes", type=int, nargs="*", default=SIZES)
     add("--unlabelled", type=int, default=0, metavar="IMAGES", help="that the network labels itself")
     add("--folds", type=int, default=1, metavar="N", help="networks that are joined")
+    add("--informed", action="store_true", help="half where networks of the others disagree")
     add("--pixels", type=int, default=128, help="side at which images are kept: twice that of a network")
     add("--seeds", type=int, default=1)
     add("--jobs", type=int, default=1)

@@ -58,16 +58,20 @@ def write_ensemble(runs: Sequence[Path | str], path: Path | str, data: Path | st
 def write_folds(
     runs: Sequence[Path | str], path: Path | str, data: Path | str | TactileDataset
 ) -> NDArray[np.float64]:
-    """Join networks that each held out another part of the same training data; their mean errors (K,) there.
+    """Join networks that each held out another part of the same training data; their mean errors there.
 
     mean = average of the means; covariance = average of the covariances, calibrated on what each network says
     of the part that it held out, so that all data are learned from and all calibrate. The spread of the means
     is no part of it: the mean squared error of one network is that of their average and the spread (Krogh and
-    Vedelsby, 1995), and it is the error of one that calibrates. Errors are NaN where nothing is labelled; raises as `write_ensemble`.
+    Vedelsby, 1995), and it is the error of one that calibrates. Raises as `write_ensemble`.
 
     Parameters
     ----------
     data : the folder that they were trained on, or what was read of it
+
+    Returns
+    -------
+    ndarray (K,) : mean absolute errors of the single networks there; NaN where nothing is labelled
     """
     files = [trained_model(Path(run)) for run in runs]
     estimators = [Estimator(file) for file in files]
