@@ -6,11 +6,10 @@ A fifth of DATA (of the part for training where it has parts) is held out to mea
 first N of a random order are taken, of which a fifth calibrates, and chooses the epoch where the loss does. A
 start is the folder of a finished run of `tactile train`, and of its network `base` or `convolutions` stay as
 they are where that is added (training.frozen); without --start networks start from random weights. Size 0 is
-the start as it is. --vary names settings of one more network. With --unlabelled the network labels so many
-further images, and is trained once more on them and the contacts. With --folds as many networks are joined
-that each leave out another part of the contacts, as by `tactile train --folds`, and with --informed half of
-the contacts are those, of all, about which networks of the other half disagree most. The start `plain` is no
-start, but a plain network (plain_network.py). Rows that are done stay in OUT/rows.jsonl. Needs PyTorch
+the start as it is. --vary names settings of one more network. With --folds as many networks are joined that
+each leave out another part of the contacts, as by `tactile train --folds`, and with --informed besides, half
+of the contacts are those, of all, about which networks of the other half disagree most. The start `plain` is
+no start, but a plain network (plain_network.py). Rows that are done stay in OUT/rows.jsonl. Needs PyTorch
 (`scripts/setup.sh train`).
 """
 
@@ -40,7 +39,7 @@ from tactile_base.jobs import JobRows, Workers, run_jobs
 from tactile_base.whole_file import only_writer
 from tactile_bringup.learning import PARTS
 from tactile_perception.datasets.dataset import TactileDataset, read_dataset, training_part
-from tactile_perception.estimating.contact_model import CONTACT_MODELS, FORCES, POSE, ContactModel
+from tactile_perception.estimating.contact_model import CONTACT_MODELS, POSE, ContactModel
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.plots import log_axis, plot_grid
 from tactile_perception.evaluation.calibration import CalibrationSettings, fit_calibration
@@ -63,7 +62,6 @@ class Job:
     seed: int
     sections: dict[str, Any]
     run: str
-    unlabelled: int
     plain: bool
     folds: int = 1
     informed: bool = False
@@ -122,12 +120,12 @@ def taken(data: TactileDataset, rows: np.ndarray, size: int) -> TactileDataset:
     )
 
 
-def parts(count: int, job: Job) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rows to train on, to choose the epoch on, to measure on, and whose images alone are known."""
+def parts(count: int, job: Job) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows to train on, to choose the epoch on, and to measure on."""
     test = np.arange(0, count, HELD_OUT)
     rows = np.random.default_rng(job.seed).permutation(np.setdiff1d(np.arange(count), test))
-    pool, others = rows[: job.size], rows[job.size : job.size + job.unlabelled]
-    return pool[len(pool) // HELD_OUT :], pool[: len(pool) // HELD_OUT], test, others
+    pool = rows[: job.size]
+    return pool[len(pool) // HELD_OUT :], pool[: len(pool) // HELD_OUT], test
 
 
 def learned(
@@ -193,20 +191,11 @@ def informed(job: Job, data: TactileDataset, rows: np.ndarray, test: np.ndarray)
     return np.concatenate([first, pool[np.argsort(doubt.mean(axis=1))[len(first) - len(rows) :]]])
 
 
-def labelled_by(network: Network, data: TactileDataset, rows: np.ndarray) -> TactileDataset:
-    """The data with what a network says of the images in these rows in place of their labels."""
-    mean, _ = predict_all(network.estimator, taken(data, rows, network.size).images)
-    euler, force = data.euler_mm_deg.copy(), data.force.copy()
-    euler[rows] = network.model.euler(mean)
-    force[np.ix_(rows, [FORCES.index(name) for name in network.model.forces])] = mean[:, POSE:]
-    return dataclasses.replace(data, euler_mm_deg=euler, force=force)
-
-
 def trained(job: Job) -> dict[str, Any]:
     """A row: errors and coverage on what was held out; the network is calibrated on what chose its epoch."""
     started = time.monotonic()
     data = dataset(job.data)
-    learning, choosing, test, others = parts(len(data), job)
+    learning, choosing, test = parts(len(data), job)
     if job.folds > 1 and job.size:
         rows = np.sort(np.concatenate([learning, choosing]))
         network = joined(job, data, informed(job, data, rows, test) if job.informed else rows)
@@ -214,9 +203,6 @@ def trained(job: Job) -> dict[str, Any]:
         network = learned(job, data, learning, choosing)
     else:
         network = Network.of(Path(job.sections["training"]["start"]) / "model.onnx")
-    if job.unlabelled:
-        more = labelled_by(network, data, others)
-        network = learned(job, more, np.concatenate([learning, others]), choosing)
     model = network.model
 
     def answers(rows: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -265,12 +251,11 @@ def job_of(
         )
         name += f":{frozen}" if frozen else ""
     name += "".join(f" {change}" for change in changes)
-    name += f" and {given.unlabelled} unlabelled" if given.unlabelled else ""
     name += f" in {given.folds} folds" if given.folds > 1 else ""
     name += ", informed" if given.informed else ""
     config = config.changed([*given.set, *changes, f"training.seed={seed}", "training.holdback=0"])
     folder = given.out.absolute() / f"{data.stem} {name} {size} {seed}".replace("/", "_")
-    more = given.unlabelled, start == PLAIN, given.folds, given.informed
+    more = start == PLAIN, given.folds, given.informed
     return Job(str(data.absolute()), size, name, seed, config.plain(), str(folder), *more)
 
 
@@ -322,7 +307,6 @@ def main() -> None:
     add("--start", nargs="*", default=[RANDOM], metavar="NAME=RUN", help="or RUN:base, `random`, `plain`")
     add("--vary", nargs="*", action="append", metavar="SECTION.NAME=VALUE", help="of a further network each")
     add("--sizes", type=int, nargs="*", default=SIZES)
-    add("--unlabelled", type=int, default=0, metavar="IMAGES", help="that the network labels itself")
     add("--folds", type=int, default=1, metavar="N", help="networks that are joined")
     add("--informed", action="store_true", help="half where networks of the others disagree")
     add("--pixels", type=int, default=128, help="side at which images are kept: twice that of a network")
@@ -340,7 +324,7 @@ def main() -> None:
         for path in data
         for changes in given.vary or [[]]
         for start in given.start
-        if size or not (start in (RANDOM, PLAIN) or given.unlabelled)  # of what there is nothing yet
+        if size or start not in (RANDOM, PLAIN)  # of which there is nothing yet
     ]
     lock = only_writer(given.out)  # runs of the same names would write to the same folders
     rows = JobRows(given.out / "rows.jsonl")
