@@ -68,8 +68,11 @@ class MeasuredForces:
         return None if mean is None else self.settings.sign * (mean - self._zero)
 
     def _mean(self, since_ns: int) -> Array | None:
-        until_ns = since_ns + round(self.settings.window / NANOSECOND)
-        if not self._forces or self._forces[-1].stamp_ns < until_ns:
-            return None
-        within = [each.force for each in self._forces if since_ns <= each.stamp_ns <= until_ns]
-        return np.mean(within, axis=0) if within else None
+        """Of what was measured from a stamp on until the window is over; None as long as it is not."""
+        until_ns, within = since_ns + round(self.settings.window / NANOSECOND), []
+        for measured in self._forces:
+            if measured.stamp_ns >= since_ns:
+                within.append(measured.force)
+                if measured.stamp_ns >= until_ns:
+                    return np.asarray(np.mean(within, axis=0))
+        return None

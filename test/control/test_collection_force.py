@@ -100,3 +100,6 @@ def test_a_mean_is_of_what_came_within_the_window_and_not_before_it_is_over():
     forces.take(StampedForce(round(k * 10 * MS), np.full(3, value)) for k, value in enumerate(values))
     assert forces.tare(0) and forces.force(100 * MS) == pytest.approx([15.0 - 5.0] * 3)
     assert forces.force(295 * MS) is None
+    rare = MeasuredForces(ForceLabelSettings(labelled=True, window=0.0))
+    rare.take([StampedForce(7 * MS, np.full(3, 2.0)), StampedForce(9 * MS, np.full(3, 4.0))])
+    assert rare.force(5 * MS) == pytest.approx([2.0] * 3), "however rarely the sensor says something"
