@@ -207,7 +207,7 @@ def _direction(staged: StagedArm, home: Array) -> Findings:
 
 def _lag(staged: StagedArm, begun_ns: int) -> float:
     """From the first command to where motion began, less what acceleration takes, s."""
-    states = [(state.stamp_ns, state.T_base_controlled[:3, 3]) for _, state in list(staged.states)]
+    states = [(state.stamp_ns, state.T_base_controlled[:3, 3]) for _, state in staged.states]
     start = next(place for stamp, place in reversed(states) if stamp <= begun_ns)
     moved = next(
         (stamp for stamp, place in states if stamp > begun_ns and np.linalg.norm(place - start) > MOVED), None

@@ -57,7 +57,7 @@ class Stopped:
 
 
 class StagedArm:
-    """Open while it is a context; `states` are those that came, each with when (ns).
+    """Open while it is a context.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class StagedArm:
     def __init__(
         self, arm: ArmScene, open_driver: Callable[[Callable[[ArmState], None]], Any] | None = None
     ) -> None:
-        self.arm, self.states = arm, list[tuple[int, ArmState]]()
+        self.arm, self._came = arm, list[tuple[int, ArmState]]()
         self.stage = SafeArm(arm, time.time_ns, feels=False)
         begun = time.monotonic()
         self.driver: Any = open_driver(self._take) if open_driver is not None else open_arm(arm, self._take)
@@ -81,14 +81,19 @@ class StagedArm:
         self.driver.close()
 
     def _take(self, state: ArmState) -> None:
-        self.states.append((time.time_ns(), state))
+        self._came.append((time.time_ns(), state))
         if self.stage.driver is not None:
             self.stage.take_state(state)
 
     @property
+    def states(self) -> list[tuple[int, ArmState]]:
+        """Those that have come until now, each with when (ns); the driver's thread brings more."""
+        return self._came.copy()
+
+    @property
     def pose(self) -> Array:
         """Where its controlled frame is, (4, 4) in its base, by the newest state."""
-        return self.states[-1][1].T_base_controlled
+        return self._came[-1][1].T_base_controlled
 
     def drive(self) -> None:
         """Have the stage move it from now on; `RuntimeError` if no state of it is believed."""
@@ -131,7 +136,7 @@ class StagedArm:
 
     def rest_since(self, since_ns: int) -> Stopped:
         """How it came to rest since then (ns): the stamp from which on its twist is zero, and the way."""
-        came = list(self.states)  # more come meanwhile
+        came = self.states
         states = [state for _, state in came]
         gaps = np.diff([at for at, _ in came if at >= since_ns], prepend=since_ns) / SECOND_NS
         later = [state for state in states if state.stamp_ns >= since_ns]

@@ -8,7 +8,8 @@ from other_package import installed
 
 from tactile_bringup import arm_check, cli
 from tactile_bringup.findings import FAILED, LOOK, OK
-from tactile_bringup.staged_arm import Stopped
+from tactile_bringup.staged_arm import StagedArm, Stopped
+from tactile_scene.arm import ArmMode, ArmState
 from tactile_scene.scene_file import load_scene
 
 pytestmark = pytest.mark.live  # it measures times
@@ -128,3 +129,16 @@ def test_a_simulated_arm_has_no_driver_to_check(capsys):
 def test_a_stop_that_took_too_long_failed_unless_the_computer_was_held_up(seconds, way, gap, verdict):
     arm = load_scene("ur_example").arms["arm"]
     assert arm_check.judge_stop(arm, "stop", Stopped(seconds, way, gap), 0.011).verdict == verdict
+
+
+def test_states_that_come_while_others_are_looked_at_are_none_of_them():
+    """Two arrays made of them, one after the other, were of two lengths."""
+    arm = load_scene("ramp").arms["arm"]
+    reports = []
+    staged = StagedArm(arm, lambda report: reports.append(report))
+    state = ArmState(1, arm.T_base_start, np.zeros(6), ArmMode.RESTING)
+    for _ in range(3):
+        reports[0](state)
+    looked_at = staged.states
+    reports[0](state)
+    assert len(looked_at) == 3 and len(staged.states) == 4
