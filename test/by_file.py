@@ -1,5 +1,7 @@
 """Tests by file to the processes of pytest-xdist, so that one that dies costs its test and nothing more."""
 
+from contextlib import suppress
+
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
@@ -27,6 +29,11 @@ class ByFile(LoadFileScheduling):
         return died_of
 
     def _reschedule(self, node: WorkerController) -> None:
-        """Give a process more than the two tests without which it would wait; end it where there are none."""
-        while not node.shutting_down and self._pending_of(self.assigned_work[node]) <= 2:
-            super()._reschedule(node)
+        """Give a process more than the two tests without which it would wait; end it where there are none.
+
+        One that has just died cannot be given any; that it has died is told next, and `remove_node` hands to
+        others what it was given here.
+        """
+        with suppress(OSError):
+            while not node.shutting_down and self._pending_of(self.assigned_work[node]) <= 2:
+                super()._reschedule(node)

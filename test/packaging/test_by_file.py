@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -34,3 +35,21 @@ def test_process_that_dies_costs_one_test(tmp_path: Path, root: Path, processes:
         timeout=300,
     )
     assert "2 failed, 7 passed" in result.stdout, result.stdout + result.stderr
+
+
+def test_process_that_cannot_be_given_tests_any_more_ends_nothing(root: Path, monkeypatch):
+    """It has died, and nobody has been told yet."""
+    monkeypatch.syspath_prepend(root / "test")
+    from by_file import ByFile, LoadFileScheduling
+
+    asked = []
+
+    def closed(self, node):
+        asked.append(node)
+        raise OSError("cannot send (already closed?)")
+
+    monkeypatch.setattr(LoadFileScheduling, "_reschedule", closed)
+    scheduling, node = object.__new__(ByFile), Mock(shutting_down=False)
+    scheduling.assigned_work = {node: {}}
+    scheduling._reschedule(node)
+    assert asked == [node]
