@@ -30,7 +30,7 @@ from tactile_base.priority import give_way
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.whole_file import whole_file
 from tactile_base.yaml_file import name_and_value
-from tactile_perception.estimating.contact_model import FORCES, POSE
+from tactile_perception.estimating.contact_model import FORCES, POSE, ContactModel
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.model_metadata import RESULT_NAME
 from tactile_perception.estimating.preprocessing import as_input
@@ -63,6 +63,11 @@ HELD_BACK = 5  # one of so many
 COVERED = LEVELS.index(0.95)
 CONTACTS, JUDGING, ROUNDS = "contacts", "held_back", "rounds"
 _JUDGED, _RESAMPLES = "judged.json", 1000
+
+
+def parts_of(model: ContactModel) -> Parts:
+    """What is judged, and may be promised, of networks of a contact model."""
+    return {**(EDGE_PARTS if model.directed else PARTS), **(FORCE_PART if model.forces else {})}
 
 
 class LearningError(ValueError):
@@ -314,7 +319,7 @@ def judged(run: Path, folder: Path, contacts: int) -> Judged:
     error = np.hstack([error, np.abs(mean - data.labels)[:, POSE:]])
     picks = np.random.default_rng(0).integers(len(data), size=(_RESAMPLES, len(data)))
     errors = {}
-    for name, (columns, _) in {**(EDGE_PARTS if told.directed else PARTS), **FORCE_PART}.items():
+    for name, (columns, _) in parts_of(told).items():
         if set(columns) <= set(data.compared):
             each = error[:, list(columns)].mean(axis=1)
             low, high = np.percentile(each[picks].mean(axis=1), (2.5, 97.5))

@@ -29,7 +29,7 @@ class ForceSensor:
         self._down = T_world_base[:3, :3].T @ np.array([0.0, 0.0, -WEIGHT])
 
     def measured(self, frame: Frame) -> Array:
-        """At an exposure: the surface's force, weight, offset and noise; NaN where no force is known."""
+        """At an exposure: the surface's force, weight, offset and noise."""
         weight = frame.T_base_sensor[:3, :3].T @ self._down
         noise = self._random.normal(0.0, NOISE, 3)
         return np.asarray(frame.truth.force + weight + self._offset + noise)

@@ -163,14 +163,13 @@ def joined(job: Job, data: TactileDataset, rows: np.ndarray) -> Network:
     """Several networks of these rows that each leave out another part."""
     from tactile_perception.training.config import TrainConfig
     from tactile_perception.training.ensemble import write_folds
+    from tactile_perception.training.jobs import fold_configs
 
     config, runs = TrainConfig.from_mapping(job.sections), []
     config = config.replaced(calibration__margin=(1.0,) * POSE, calibration__floor=(0.0,) * POSE)  # as below
-    for fold in range(job.folds):
-        own = {"holdback": 1.0 / job.folds, "fold": fold, "seed": job.seed + fold}
-        sections = config.replaced(**{f"training__{name}": value for name, value in own.items()}).plain()
+    for fold, own in enumerate(fold_configs(config, job.folds)):
         runs.append(Path(f"{job.run} fold {fold}"))
-        learned(dataclasses.replace(job, sections=sections, run=str(runs[-1])), data, rows)
+        learned(dataclasses.replace(job, sections=own.plain(), run=str(runs[-1])), data, rows)
     path = Path(f"{job.run}.onnx")
     write_folds(runs, path, taken(data, rows, config.network.image_size))
     return dataclasses.replace(Network.of(path), calibrated=True)

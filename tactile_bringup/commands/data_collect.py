@@ -161,9 +161,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     scene = rehearsed(scene) if arguments.rehearse else scene
     arm = sensing_arm(scene, arguments.arm)
     surface = chosen_surface(scene, arm, arguments.surface, EDGED if arguments.edge else FLAT)
-    assert arm.sensor is not None
     first = defaults(arm, arguments.touch, arguments.edge)
-    first = first.replaced(force__labelled=arm.sensor.settings.force_sensor)
     settings = chosen_settings(first, arguments.config, arguments.changes).replaced(
         data__folder=str(arguments.out.absolute()),
         data__images=arguments.images,
@@ -225,10 +223,11 @@ def frame_on(scene: Scene, surface: BodyScene, arm: ArmScene) -> Any:
 
 def defaults(arm: ArmScene, touches: int, edge: bool) -> DataCollectionSettings:
     """What is done where nothing else is said: on an edge it is pressed deeper and less tilted."""
-    settings = DataCollectionSettings().replaced(touch__points=touches)
+    assert arm.sensor is not None
+    measured = arm.sensor.settings.force_sensor
+    settings = DataCollectionSettings().replaced(touch__points=touches, force__labelled=measured)
     if not edge:
         return settings
-    assert arm.sensor is not None
     return settings.replaced(
         edge__pressed=True,
         edge__tip_radius=arm.sensor.settings.tip_radius,

@@ -21,7 +21,7 @@ from tactile_bringup.commands.changes import add_command, add_group, add_set_opt
 from tactile_bringup.commands.launch import add_rehearse_option
 from tactile_perception.datasets.check import check
 from tactile_perception.datasets.dataset import open_folder
-from tactile_perception.estimating.contact_model import CONTACT_MODELS
+from tactile_perception.estimating.contact_model import CONTACT_MODELS, ContactModel
 from tactile_perception.estimating.model_metadata import MODEL_NAME
 from tactile_perception.markers.flow import FlowSettings
 from tactile_perception.training.config import TrainConfig
@@ -60,9 +60,7 @@ def register(subparsers: Any) -> None:
     add("--start", type=Path, metavar="RUN", help="begin each network with that of a finished run")
     add_set_option(parser, "of the networks or of the collection, by section", "SECTION.NAME=VALUE")
     add("--collection", type=Path, metavar="FILE", help="settings of the collection (docs/data.md)")
-    text = (
-        f"networks of a round that each leave out another part, joined in one model ({FOLDS}); 1: one network"
-    )
+    text = f"a round's networks, each without another part, joined in one model ({FOLDS}); 1: one network"
     add("--folds", type=positive_int, default=FOLDS, metavar="N", help=text)
     add("--arm", metavar="NAME", help="which arm (default: the one with a camera)")
     add("--surface", metavar="NAME", help="which surface (default: the only plane)")
@@ -85,10 +83,9 @@ def run(arguments: argparse.Namespace) -> int:
     from tactile_bringup import learning_page
 
     console = lasting_console()
-    words, forces = _checked(arguments)
-    parts, promised = (learning.EDGE_PARTS, EDGE_PROMISE) if arguments.edge else (learning.PARTS, PROMISE)
-    parts = {**parts, **(learning.FORCE_PART if forces else {})}
-    promise = learning.Promise.parse(arguments.promise or promised, parts)
+    words, model = _checked(arguments)
+    promised = arguments.promise or (EDGE_PROMISE if arguments.edge else PROMISE)
+    promise = learning.Promise.parse(promised, learning.parts_of(model))
     hour = 3600.0 / (EDGE_SECONDS if arguments.edge else SECONDS)  # in contacts
     hours = arguments.contacts[0] / hour, arguments.contacts[-1] / hour
     say(
@@ -133,8 +130,8 @@ def _shortfall(judged: Any, promise: Any) -> float:
     return max(ratios, default=math.inf)
 
 
-def _checked(arguments: argparse.Namespace) -> tuple[list[str], bool]:
-    """Options of `tactile train`, and whether its networks tell forces.
+def _checked(arguments: argparse.Namespace) -> tuple[list[str], ContactModel]:
+    """Options of `tactile train`, and what its networks tell.
 
     Raises where something cannot be, before an arm moves.
     """
@@ -147,17 +144,20 @@ def _checked(arguments: argparse.Namespace) -> tuple[list[str], bool]:
         section = change.partition(".")[0]
         if section not in (*networks, *collection):
             raise SettingError(f"--set {change}: {unknown_name(section, [*networks, *collection])}")
+    own = [each for each in arguments.changes if each.partition(".")[0] in networks]
     scene = load_scene(arguments.scene)
-    arm = data_collect.sensing_arm(scene, arguments.arm)
-    measured = arm.sensor is not None and arm.sensor.settings.force_sensor
-    changes = [EDGE_MODEL] if arguments.edge else [FORCE_MODEL] * measured
-    changes += [each for each in arguments.changes if each.partition(".")[0] in networks]
+    collecting = data_collect.defaults(
+        data_collect.sensing_arm(scene, arguments.arm), arguments.touch, arguments.edge
+    )
+    others = [each for each in arguments.changes if each not in own]
+    measured = data_collect.chosen_settings(collecting, arguments.collection, others).force.labelled
+    changes = [*([EDGE_MODEL] if arguments.edge else [FORCE_MODEL] * measured), *own]
     chosen = TrainConfig.from_file(config).changed(changes)
     if arguments.folds > 1 and chosen.training.holdback:
         chosen = chosen.replaced(training__holdback=1.0 / arguments.folds)
     _check_rounds(list(arguments.contacts), chosen)
-    forces = bool(CONTACT_MODELS.load(chosen.training.model).forces)
-    if forces and not measured:
+    model = CONTACT_MODELS.load(chosen.training.model)
+    if model.forces and not measured:
         raise SettingError(
             f"training.model = {chosen.training.model}: tells forces, and no force sensor measures any in "
             f"{scene.path} (sensor: {{force_sensor: true}})"
@@ -165,7 +165,7 @@ def _checked(arguments: argparse.Namespace) -> tuple[list[str], bool]:
     words = ["--start", str(arguments.start.absolute())] if arguments.start else []
     words += ["--folds", str(arguments.folds)] if arguments.folds > 1 else []
     words = ["--config", str(config), *words, *(word for each in changes for word in ("--set", each))]
-    return words, forces
+    return words, model
 
 
 def _check_rounds(totals: list[int], config: TrainConfig) -> None:

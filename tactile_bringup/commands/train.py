@@ -50,10 +50,8 @@ def register(subparsers: Any) -> None:
     several = parser.add_mutually_exclusive_group()
     text = "N networks of other seeds, in OUT/seed_0 and on"
     several.add_argument("--repeat", type=positive_int, metavar="N", help=text)
-    text = (
-        "N networks that each hold back another part of the data, in OUT/fold_0 and on, joined in one model "
-    )
-    text += "that all the data calibrate: for some hundred contacts"
+    text = "N networks that each hold back another part of the data, in OUT/fold_0 and on, joined in one "
+    text += "model that all the data calibrate: for some hundred contacts"
     several.add_argument("--folds", type=positive_int, metavar="N", help=text)
     add_job_options(parser, default=1, those="with --repeat or --folds: ")
     _register_ensemble(subparsers)

@@ -255,7 +255,7 @@ def unseen_rows(metadata: ModelMetadata, sha256: str, count: int) -> NDArray[np.
     All of them for other data than its training data; none where nothing was held out of those. `sha256` and
     `count` are those of the data set, as `dataset.read_dataset` finds them.
     """
-    held_out = [split_holdback(count, part, fold)[1] for part, fold in _parts_held_out(metadata, sha256)]
+    held_out = [split_holdback(count, *each)[1] for each in set(_parts_held_out(metadata, sha256))]
     return reduce(np.intersect1d, held_out, np.arange(count))
 
 

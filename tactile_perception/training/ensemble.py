@@ -23,9 +23,8 @@ from tactile_perception.estimating.model_metadata import (
     unseen_rows,
 )
 from tactile_perception.evaluation.calibration import CalibrationSettings, fit_calibration
-from tactile_perception.evaluation.models import predict_all
 from tactile_perception.training.export import GraphWriter, save_model
-from tactile_perception.training.recalibration import fit_on
+from tactile_perception.training.recalibration import answers, fit_on
 
 
 class EnsembleError(ValueError):
@@ -79,11 +78,10 @@ def write_folds(
     metadata = _joined_metadata(files, members)
     _check_holdback(files, members)
     samples = data if isinstance(data, TactileDataset) else _training_data(Path(data), metadata)
-    labels, found = samples.labels_for(metadata.contact_model), []
-    for estimator in estimators:
-        rows = unseen_rows(estimator.metadata, samples.sha256, len(samples))
-        mean, covariance = predict_all(estimator, samples.images[rows])
-        found.append((labels[rows], mean, covariance, metadata.contact_model.error(mean, labels[rows])))
+    found = [
+        answers(estimator, samples, unseen_rows(estimator.metadata, samples.sha256, len(samples)))
+        for estimator in estimators
+    ]
     known, means, covariances, error = (np.concatenate(part) for part in zip(*found, strict=True))
     calibration = fit_calibration(known, means, covariances, _settings(members), error)
     _write(files, Path(path), dataclasses.replace(metadata, calibration=calibration), spread=False)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,29 +42,34 @@ def seed_jobs(
     data: Path, out: Path, config: TrainConfig, count: int, validation: Path | None, limit: int | None
 ) -> list[Job]:
     """`count` runs that differ in their seed, each in a folder `seed_N` of `out`."""
-    where = str(validation.absolute()) if validation else None
+    seeds = range(config.training.seed, config.training.seed + count)
+    configs = {f"seed_{seed}": config.replaced(training__seed=seed) for seed in seeds}
+    return _jobs(data, out, configs, validation, limit)
+
+
+def fold_configs(config: TrainConfig, count: int) -> list[TrainConfig]:
+    """Of `count` networks that each hold back another part of the data, and begin by another seed."""
+    part, seed = 1.0 / count, config.training.seed
     return [
-        Job(
-            str(data.absolute()),
-            str(out.absolute() / f"seed_{seed}"),
-            config.replaced(training__seed=seed).plain(),
-            where,
-            limit,
-        )
-        for seed in range(config.training.seed, config.training.seed + count)
+        config.replaced(training__holdback=part, training__fold=fold, training__seed=seed + fold)
+        for fold in range(count)
     ]
 
 
 def fold_jobs(data: Path, out: Path, config: TrainConfig, count: int, validation: Path | None) -> list[Job]:
-    """`count` runs that each hold back another part of the data, in folders `fold_N` of `out`."""
-    jobs = seed_jobs(data, out, config, count, validation, None)
+    """Runs of `fold_configs`, in folders `fold_N` of `out`."""
+    configs = {f"fold_{fold}": each for fold, each in enumerate(fold_configs(config, count))}
+    return _jobs(data, out, configs, validation, None)
+
+
+def _jobs(
+    data: Path, out: Path, configs: Mapping[str, TrainConfig], validation: Path | None, limit: int | None
+) -> list[Job]:
+    """A run for each configuration, in a folder of that name."""
+    where = str(validation.absolute()) if validation else None
     return [
-        dataclasses.replace(
-            job,
-            out=str(out.absolute() / f"fold_{fold}"),
-            sections=job.config.replaced(training__holdback=1.0 / count, training__fold=fold).plain(),
-        )
-        for fold, job in enumerate(jobs)
+        Job(str(data.absolute()), str(out.absolute() / name), config.plain(), where, limit)
+        for name, config in configs.items()
     ]
 
 

@@ -26,6 +26,8 @@ from tactile_perception.evaluation.calibration import (
 from tactile_perception.evaluation.models import predict_all
 from tactile_perception.training.export import save_model
 
+Array = NDArray[np.float64]
+
 
 def recalibrate(
     model: Path | str, data: Path | str, out: Path | str, changes: Mapping[str, Any] | None = None
@@ -80,7 +82,13 @@ def fit_on(
     estimator: Estimator, samples: TactileDataset, rows: NDArray[np.int64], settings: CalibrationSettings
 ) -> Calibration:
     """Fitted to the network's own answers to some rows of a data set."""
+    labels, mean, cov, error = answers(estimator, samples, rows)
+    return fit_calibration(labels, mean, cov, settings, error)
+
+
+def answers(estimator: Estimator, samples: TactileDataset, rows: NDArray[np.int64]) -> tuple[Array, ...]:
+    """Labels (n, K) of some rows, and a network's means, covariances (n, K, K) and errors there."""
     mean, cov = predict_all(estimator, samples.images[rows])
     model = estimator.metadata.contact_model
     labels = samples.labels_for(model)[rows]
-    return fit_calibration(labels, mean, cov, settings, model.error(mean, labels))
+    return labels, mean, cov, model.error(mean, labels)

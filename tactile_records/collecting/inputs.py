@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable
 
 import numpy as np
@@ -16,8 +15,6 @@ from tactile_perception.estimating.presence import ContactPresence
 from tactile_records.collecting.settings import DataCollectionSettings, ForceLabelSettings
 
 Array = NDArray[np.float64]
-
-_KEPT = 20_000  # messages, ten seconds of the fastest sensors
 
 
 class Look:
@@ -46,8 +43,12 @@ class MeasuredForces:
 
     def __init__(self, settings: ForceLabelSettings) -> None:
         self.settings = settings
-        self._forces: deque[StampedForce] = deque(maxlen=_KEPT)
+        self._forces: list[StampedForce] = []
         self._zero = np.zeros(3)
+
+    def forget(self) -> None:
+        """Forget what has been measured, but for what no force is."""
+        self._forces.clear()
 
     def take(self, forces: Iterable[StampedForce]) -> None:
         """Keep what has been measured, by its stamps; what is older than the last is left out."""

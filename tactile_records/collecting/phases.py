@@ -116,6 +116,7 @@ class Rest(CollectionPhase):
 
     def begin(self) -> None:
         self.still: StampedPose | None = None
+        self.task.forces.forget()  # what was measured on the way
 
     def resting(self) -> bool:
         """Whether the commanded twist is zero and the pose has not moved for `settle_time`."""

@@ -89,7 +89,7 @@ class ControllerNode(TaskNode):
             self.images.color = bool(getattr(self.settings.value.group("preprocessing"), "color", False))
             age = getattr(watchdog, "image_age", 0.0)
             subscribe_images(self, self.image_topic, self.images.take, age)
-            if getattr(self.settings.value.group("force"), "labelled", False):
+            if getattr(getattr(self.settings.value, "force", None), "labelled", False):
                 self.subscribe(WrenchStamped, topics.FORCE_SENSOR.name, self._take_measured, FORCE, age)
         elif self.task_type.needs_sensor or minds:
             age = getattr(watchdog, "belief_age", 0.0)

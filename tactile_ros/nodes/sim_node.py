@@ -94,9 +94,7 @@ class SensorOutlet:
         self.arm, self.camera, self.lost = arm, camera, 0
         self._node = node
         self.truth = node.publisher(ContactTruth, topics.TRUTH.of(arm).name, STATE)
-        sensor = node.scene.arms[arm].sensor
-        self.force = None
-        if sensor is not None and sensor.settings.force_sensor:
+        if arm in node.force_sensors:
             self.force = node.publisher(WrenchStamped, topics.FORCE_SENSOR.of(arm).name, FORCE)
         if camera is None:
             self._presence = node.publisher(ContactPresence, topics.PRESENCE.of(arm).name, STATE)
@@ -105,7 +103,7 @@ class SensorOutlet:
 
     def publish(self, frame: Frame) -> None:
         """What the sensor gives, and the force sensor behind it."""
-        if self.force is not None:
+        if self.arm in self._node.force_sensors:
             measured = self._node.force_sensors[self.arm].measured(frame).tolist()
             self.force.publish(
                 headed_bytes(WrenchStamped, frame.stamp_ns, self.frame, *measured, 0.0, 0.0, 0.0)
@@ -224,7 +222,11 @@ class SimNode(ManagedNode):
         followed = {name: FollowedArm(arms[name], double, stamp_ns) for name, double in doubles}
         seed = self.settings.value.seed
         self.cell = Cell(self.scene, seed, stamp_ns, followed=followed)
-        self.force_sensors = {name: ForceSensor(seed, arm.T_world_base) for name, arm in arms.items()}
+        self.force_sensors = {
+            name: ForceSensor(seed, arm.T_world_base)
+            for name, arm in arms.items()
+            if arm.sensor is not None and arm.sensor.settings.force_sensor and self.scene.gives_images(name)
+        }  # of what gives no images no force is modelled
 
     def due_in(self) -> float:
         """Seconds until the next step is to be computed."""
